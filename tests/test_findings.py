@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
-import pickle
 import re
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import pytest
 
 import roomfit.base.findings
 from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding, code_of
+from roomfit.base.findings import Code, code_of
 
 SOURCE = Path(roomfit.__file__).parent
 PAGE = SOURCE.parents[1] / "docs" / "findings.md"
@@ -138,29 +136,7 @@ def test_codes_of_two_severities_are_graded_wherever_they_come_up():
 # One finding.
 
 
-def test_the_severity_is_that_of_the_code_unless_graded():
-    assert Finding(Code.TIME_ZERO_MISMATCH, About(), "Late.").severity == "warning"
-    assert (
-        Finding(Code.TIME_ZERO_MISMATCH, About(), "Very late.", graded="serious").severity
-        == "serious"
-    )
-    assert Finding(Code.LEAK, About(), "It leaks.").severity == "serious"
-
-
-def test_a_severity_that_a_code_does_not_have_is_refused():
-    with pytest.raises(InputError, match="severity") as caught:
-        Finding(Code.LEAK, About(), "It leaks.", graded="info")
-    error = caught.value
-    assert (error.where, error.found, error.needed) == ("leak", "info", "serious")
-    assert error.hint
-
-
 # Files.
-
-
-def test_a_code_is_found_by_its_text():
-    for code in Code:
-        assert code_of(code.value, "result.json") is code
 
 
 @pytest.mark.parametrize("text", ["only-the-prior", "LEAK", "", None, 3, ["leak"]])
@@ -172,8 +148,3 @@ def test_an_unknown_code_in_a_file_is_reported_in_five_parts(text):
     assert error.found == repr(text)
     assert "docs/findings.md" in str(error.needed)
     assert error.hint
-
-
-def test_a_code_keeps_its_kind_between_processes_and_in_json():
-    assert pickle.loads(pickle.dumps(Code.LEAK)) is Code.LEAK
-    assert json.loads(json.dumps({Code.LEAK: [Code.NOT_CLOSED]})) == {"leak": ["not-closed"]}

@@ -74,21 +74,6 @@ def test_few_responses_are_not_examined():
     assert outline_findings(scene, five[1:]) == ()
 
 
-def test_one_source_alone_is_not_examined():
-    scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
-    assert outline_findings(scene, responses[:5]) == ()
-
-
-def test_an_echo_stands_out_and_smooth_noise_does_not():
-    rng = np.random.default_rng(5)
-    pressure = rng.standard_normal(8_000)
-    pressure[4_000] += 30.0
-    prominence = echo_prominence(ImpulseResponse(pressure, RATE_HZ))
-    assert int(np.argmax(prominence)) == pytest.approx(4_000, abs=5)
-    assert prominence.max() > 2.0
-    assert abs(np.mean(prominence)) < 0.05
-
-
 @pytest.mark.parametrize("rate_hz", [8_000.0, 44_100.0])
 def test_prominence_is_that_of_a_butterworth_filter_forth_and_back(rate_hz):
     """By scipy's own filters, with silence about the file; nothing wraps from end to beginning."""

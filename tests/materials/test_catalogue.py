@@ -21,15 +21,12 @@ from roomfit.materials.catalogue import (
     catalogue_prior,
     distinct,
     find_material,
-    object_catalogue_area,
     search_catalogue,
     typical_logit,
 )
 from roomfit.materials.catalogue import (
     table_logit as logit,
 )
-from roomfit.materials.priors import logit_prior
-from small_campaign import run_command
 
 # Names in the table of Vorlaender, "Auralization" (Springer 2008), as pyroomacoustics spells them.
 SAME_MATERIAL = {
@@ -83,7 +80,7 @@ SAME_MATERIAL = {
 def test_every_value_has_a_source_and_every_source_is_used():
     content = catalogue()
     assert len(content.entries) >= 60
-    assert len(set(content.names)) == len(content.names)
+    assert len({entry.name for entry in content.entries}) == len(content.entries)
     for entry in content.entries:
         assert entry.readings
         for reading in entry.readings:
@@ -93,47 +90,6 @@ def test_every_value_has_a_source_and_every_source_is_used():
             assert len(reading.source) > 20
             assert reading.row
     assert len({r.source for e in content.entries for r in e.readings}) == 13
-
-
-def test_priors_stay_within_what_a_fit_can_use():
-    for entry in catalogue().entries:
-        bands = bands_between("third-octave", 25, 20000)
-        mean, sd = (
-            object_catalogue_area(entry.name, bands, by_floor=False)
-            if entry.group == "people, m2 each"
-            else catalogue_prior(entry.name, bands)
-        )
-        assert np.all((mean >= 0.005) & (mean <= 0.98))
-        assert np.all(sd > 0.0)
-
-
-def test_third_octaves_pass_through_the_octaves():
-    thirds, octaves = bands_between("third-octave", 63, 8000), bands_between("octave", 63, 8000)
-    mean, sd = catalogue_prior("carpet-on-underlay", thirds)
-    entry = find_material("carpet-on-underlay")
-    np.testing.assert_allclose(mean[::3], entry.absorption, rtol=1e-12)
-    np.testing.assert_allclose(sd[::3], entry.sd, rtol=1e-12)
-    np.testing.assert_allclose(
-        catalogue_prior("carpet-on-underlay", octaves)[0], mean[::3], rtol=1e-12
-    )
-    # within one octave a straight line in the logit cannot leave its two ends
-    assert np.all(np.diff(mean[6:13]) > 0.0)
-
-
-def test_the_prior_comes_back_as_the_logit_spread_it_was():
-    bands = bands_between("octave", 63, 8000)
-    entry = find_material("glass-heavy")
-    logit_mean, logit_sd = logit_prior(*catalogue_prior("glass-heavy", bands))
-    np.testing.assert_allclose(logit_mean, entry.logit_mean, rtol=1e-10)
-    np.testing.assert_allclose(logit_sd, entry.logit_sd, rtol=1e-10)
-
-
-def test_beyond_the_octaves_of_the_catalogue_the_spread_grows():
-    mean, sd = catalogue_prior("brick-unglazed", bands_between("octave", 31.5, 16000))
-    assert mean[0] == pytest.approx(mean[1])
-    assert mean[-1] == pytest.approx(mean[-2])
-    assert sd[0] > sd[1] > sd[2]
-    assert sd[-1] > sd[-2] > sd[-3]
 
 
 def test_the_common_spread_is_the_pooled_variance_of_names_with_several_readings():
@@ -275,26 +231,6 @@ def test_names_are_found_in_any_spelling_and_the_nearest_is_offered():
         catalogue_prior("unobtainium", bands_between("octave", 125, 4000))
     assert {e.name for e in search_catalogue(["mineral", "wool", "50"])} >= {"mineral-wool-50-mm"}
     assert search_catalogue([]) == catalogue().entries
-
-
-def test_the_command_lists_and_shows_materials(monkeypatch, capsys):
-    assert run_command(monkeypatch, "catalogue") == 0
-    everything = capsys.readouterr().out
-    assert all(f"  {name} " in everything for name in catalogue().names)
-    assert run_command(monkeypatch, "catalogue", "curtain", "heavy") == 0
-    listed = capsys.readouterr().out
-    assert "curtain-heavy-flat" in listed
-    assert "carpet" not in listed
-    assert run_command(monkeypatch, "catalogue", "wood-platform") == 0
-    shown = capsys.readouterr().out
-    assert "Acoustic Absorbers and Diffusers" in shown
-    assert "0.40  0.30  0.20  0.17  0.15  0.10" in shown
-    assert run_command(monkeypatch, "catalogue", "unobtainium") == 2
-    assert "no such material" in capsys.readouterr().err
-
-
-def test_octaves_are_those_of_the_standard():
-    assert bands_between("octave", 63, 8000).centres_hz.tolist() == list(OCTAVES_HZ)
 
 
 def test_between_octaves_an_entry_is_interpolated_in_logit_and_beyond_them_held_and_widened():

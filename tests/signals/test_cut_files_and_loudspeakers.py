@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from roomfit.base.bands import bands_between
-from roomfit.base.errors import InputError
 from roomfit.signals.filters import filter_pressure
 from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
-from roomfit.signals.noise import NoiseEstimate, estimate_noise
+from roomfit.signals.noise import NoiseEstimate, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ = 16_000.0
@@ -89,21 +88,6 @@ def test_taking_colour_out_undoes_it():
     assert back.time_zero_s == click.time_zero_s
 
 
-def test_colour_is_causal():
-    """A loudspeaker of least phase plays nothing before the signal."""
-    click = ImpulseResponse(np.eye(1, 8000, 2000)[0], RATE_HZ)
-    played = coloured(click, COLOUR).pressure
-    assert np.sum(played[:2000] ** 2) < 1e-6 * np.sum(played**2)
-
-
-def test_power_is_multiplied_by_the_gain_specified():
-    """A tone's power after taking colour out, against the gain at its frequency."""
-    t = np.arange(16_000) / RATE_HZ
-    tone = ImpulseResponse(np.sin(2 * np.pi * 700.0 * t) * np.hanning(t.size), RATE_HZ)
-    ratio = np.sum(equalise(tone, COLOUR).pressure ** 2) / np.sum(tone.pressure**2)
-    assert ratio == pytest.approx(power_gain(COLOUR, np.array([700.0]))[0], rel=1e-2)
-
-
 def test_colour_is_heard_beside_what_the_room_does():
     """Eight rooms of random echoes: the common colour is found within 1.5 dB from 250 Hz on.
 
@@ -124,15 +108,6 @@ def test_colour_is_heard_beside_what_the_room_does():
     np.testing.assert_allclose(got - got.mean(), want - want.mean(), atol=1.5)
 
 
-def test_colour_is_told_every_half_octave_up_to_045_of_the_sampling_rate():
-    """Both ends belong to it, where the highest is a whole number of steps above the lowest."""
-    highest = 0.45 * RATE_HZ
-    echo = ImpulseResponse(np.eye(1, 800).ravel(), RATE_HZ)
-    for lowest, n in ((highest / 16.0, 9), (highest / 15.9, 8), (highest, 1)):
-        nodes = source_magnitude([echo] * 3, [echo] * 3, [0.05] * 3, lowest, 0.0).frequencies_hz
-        np.testing.assert_allclose(nodes, lowest * np.sqrt(2.0) ** np.arange(n), rtol=1e-12)
-
-
 def test_chance_is_not_taken_for_colour():
     """Rooms of which the model knows nothing but the mean: what differs by chance is left alone."""
     rng = np.random.default_rng(6)
@@ -143,22 +118,39 @@ def test_chance_is_not_taken_for_colour():
     assert np.max(np.abs(found.level_db)) < 1.0
 
 
-def test_two_responses_tell_no_colour():
-    """With fewer than three nothing can be said of chance, and nothing is done."""
-    rng = np.random.default_rng(7)
-    two = [ImpulseResponse(rng.standard_normal(1600), RATE_HZ) for _ in range(2)]
-    assert not np.any(source_magnitude(two, two[::-1], [0.1] * 2, 62.5, 0.0).level_db)
+BANDS = bands_between("octave", 500, 2000)
+RATE_HZ = 16000
 
 
-def test_of_frequencies_that_no_file_holds_no_colour_is_told():
-    """Half of the rate is 8 kHz: from 16 kHz on there is no power to be compared, 0 of 0."""
-    echo = ImpulseResponse(np.eye(1, 800).ravel(), RATE_HZ)
-    with np.errstate(all="raise"):
-        found = source_magnitude([echo] * 3, [echo] * 3, [0.05] * 3, RATE_HZ, 0.0)
-    assert found.level_db.tolist() == [0.0]
+@pytest.mark.parametrize("floor_db", [-30.0, -45.0, -60.0])
+def test_the_peak_to_noise_ratio_is_that_of_the_powers_of_decay_and_noise(floor_db):
+    """White noise that decays by 60 dB in 1 s, over white noise as far below its beginning.
+
+    The highest block lies above the mean power by its scatter, and the mean of a block below its
+    beginning: 3 dB either way, in three bands.
+    """
+    rng = np.random.default_rng(11)
+    time_s = np.arange(int(1.5 * RATE_HZ)) / RATE_HZ
+    decay = rng.normal(size=time_s.size) * 10.0 ** (-3.0 * np.maximum(time_s - 0.05, 0.0))
+    noise = 10.0 ** (floor_db / 20.0) * rng.normal(size=time_s.size)
+    response = ImpulseResponse(np.where(time_s < 0.05, 0.0, decay) + noise, RATE_HZ)
+    found = estimate_noise(BANDS, response, filter_pressure(BANDS, response), 0.05)
+    np.testing.assert_allclose(found.peak_to_noise_db, -floor_db, atol=3.0)
 
 
-def test_different_rates_are_refused():
-    a, b = (ImpulseResponse(np.ones(100), rate) for rate in (8000.0, 16_000.0))
-    with pytest.raises(InputError, match="sampling rate"):
-        source_magnitude([a], [b], [0.1], 62.5, 0.0)
+@pytest.mark.filterwarnings("error")
+def test_sound_that_begins_late_over_digital_silence_has_a_decay_or_none_but_no_infinite_one():
+    """1 s at a time constant of 1 ms is a height of exp(1000), which no number holds."""
+    times = (np.arange(150) + 0.5) * 0.01
+    for constant_s in (0.0001, 0.001, 0.003, 0.1):
+        for begins_s in (0.0, 0.3, 1.0):
+            since_s = np.maximum(times - begins_s, 0.0)
+            blocks = np.where(times > begins_s, np.exp(-since_s / constant_s), 0.0)
+            line = decay_line(times, np.maximum(blocks, 1e-300), 1e-300, np.inf)
+            if line is None:
+                assert begins_s > 500.0 * constant_s
+            else:
+                assert np.isfinite(line).all() and begins_s < 700.0 * constant_s
+                assert line[1] == pytest.approx(constant_s, rel=1e-3)
+                expected = begins_s / constant_s
+                assert np.log(line[0]) == pytest.approx(expected, rel=2e-3, abs=1e-3)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
-from roomfit.materials import catalogue as catalogue_module
-from roomfit.materials.catalogue import search_catalogue
-from roomfit.materials.priors import complete_priors, unknown_material
 from roomfit.signals import iso3382
 from roomfit.signals.decay import echogram_decay_curve, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients, values_of_bins
@@ -80,30 +75,6 @@ def test_the_values_of_an_exponential_decay_are_those_of_its_closed_form(n_bins,
     np.testing.assert_allclose(of["G_dB"], wanted_db, atol=1e-9)
 
 
-def test_what_has_passed_before_the_onset_has_a_decay_time_of_sixty_records():
-    """No level is left to fall: nothing that is read from it may pass for a decay of a room."""
-    edges_s = 0.3 + 1e-3 * np.arange(201)
-    energy = np.where(np.arange(200) < 5, 1.0, 0.0)
-    energy[5:] = 1e-7
-    found = values_of_bins(energy[None], np.ones(1), edges_s, 0.42)
-    np.testing.assert_allclose(found[0, :2], 60.0 * 0.2, rtol=1e-12)
-
-
-def test_the_filter_carries_energy_to_its_neighbours_before_the_values_are_taken():
-    """Shares of 0.2, 0.5 and 0.3 are those of the echogram that has them in its bins already."""
-    edges_s = 1e-3 * np.arange(0, 801)
-    energy = -np.diff(np.exp(-13.8 * edges_s / 0.6))
-    energy[:2] = 0.0
-    energy[-2:] = 0.0
-    shares = np.array([0.2, 0.5, 0.3])
-    carried = np.convolve(energy, shares)[1:-1]
-    once, again = (
-        values_of_bins(e[None], s, edges_s, 0.002)
-        for e, s in ((energy, shares), (carried, np.ones(1)))
-    )
-    np.testing.assert_allclose(once, again, rtol=1e-9)
-
-
 def test_the_speech_transmission_behind_a_direct_sound_is_that_of_the_closed_form():
     """Half of the energy at once, half in a decay of 1 s: both parts of the modulation add up.
 
@@ -120,54 +91,8 @@ def test_the_speech_transmission_behind_a_direct_sound_is_that_of_the_closed_for
     assert sti_of_decay(octaves, time_s, levels_db) == pytest.approx(wanted, abs=0.003)
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"prior_logit_mean": np.full(2, -1.0)},
-        {"prior_logit_sd": np.full(2, 0.9)},
-        {"lower": 0.01},
-        {"product_sd": 0.2},
-        {"specified": False},
-    ],
-)
-def test_materials_of_one_product_with_any_difference_of_their_priors_are_refused(other):
-    first = replace(unknown_material("west", 2), product="panel", specified=True)
-    second = replace(first, name="east", **other)
-    with pytest.raises(InputError, match="materials of one product have different priors"):
-        complete_priors(("west", "east"), (first, second), bands_between("octave", 500, 1000))
-
-
-def test_every_word_of_a_material_leads_to_entries_of_the_catalogue():
-    """In whichever language it is searched."""
-    words = next(
-        value
-        for name, value in vars(catalogue_module).items()
-        if isinstance(value, dict) and "sperrholz" in value
-    )
-    known = {entry.name for entry in search_catalogue([])}
-    assert {entry for entries in words.values() for entry in entries} <= known
-    assert all(word == word.lower() for word in words)
-
-
 def values_of(**given: float) -> MeasuredValues:
     return MeasuredValues("S", "R", [500.0], {name: [value] for name, value in given.items()})
-
-
-@pytest.mark.parametrize(
-    ("name", "low", "high"),
-    [
-        # s: a church at most, a centimetre's decay at least; dB: 10 cm from a source
-        *(("EDT_s", 0.01, 15.0), ("T20_s", 0.03, 15.0), ("T30_s", 0.03, 15.0)),
-        *(("C50_dB", -40.0, 40.0), ("C80_dB", -40.0, 40.0), ("G_dB", -40.0, 45.0)),
-        *(("D50_percent", 0.0, 100.0), ("TS_ms", 0.1, 3000.0)),
-    ],
-)
-def test_a_value_that_no_room_has_is_refused_on_either_side(name, low, high):
-    for value in (low, high):
-        iso3382.check_possible(name, value, "a table")
-    for value in (low - 1e-3 * max(abs(low), 1.0), 1.001 * high, np.nan):
-        with pytest.raises(InputError, match="implausible room parameter"):
-            iso3382.check_possible(name, value, "a table")
 
 
 def test_values_that_do_not_go_together_are_doubted_and_then_refused():

@@ -10,8 +10,6 @@ import pytest
 import roomfit
 from reverberation import met
 from roomfit.base.air import Air
-from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.base.logit import expit, logit
 from roomfit.files.campaign import read_campaign
 from roomfit.files.reverberation import diffuse_field
@@ -26,8 +24,6 @@ from roomfit.predict.diffuse_field import (
     field_posterior,
 )
 from roomfit.room.scene import Scene, shoebox_room
-from roomfit.treat.arrangements import treat
-from roomfit.treat.question import Product, Surface, Target
 from small_campaign import run_command
 
 TIMES = "place;500;1000\nfront;1,12;1,08\nmiddle;1,10;1,10\nback;1,08;1,12\n"
@@ -103,16 +99,6 @@ def test_square_metres_are_those_of_sabine_by_hand_and_what_was_measured_is_kept
     assert "from-decay-times" in capsys.readouterr().out
 
 
-def test_more_of_a_probability_takes_more_of_the_panel(folder, monkeypatch):
-    (folder / "treatment.toml").write_text("probability = 0.9\n" + TREATMENT)
-    out = command(monkeypatch, folder, "treat")
-    content = json.loads((out / "treatment.json").read_text())
-    first = content["arrangements"][0]
-    assert first["probability"][0] == pytest.approx(0.9, abs=0.03)
-    assert content["probability_asked"] == 0.9
-    assert first["hung"][0]["area_m2"] > 1.1 * by_hand_m2(144.0, 1.10, 0.8, 0.8)
-
-
 @pytest.mark.slow
 def test_of_rooms_whose_target_is_said_to_be_met_at_90_percent_as_many_meet_it():
     """Rays that no part of roomfit follows, four kinds of rooms, `benchmarks/reverberation.py`.
@@ -172,79 +158,6 @@ def test_nothing_measured_says_what_tables_say_and_that_it_is_no_more(folder, mo
     assert time["predicted"][1] < time["before"][1]
 
 
-def test_result_json_of_decay_times_is_one_that_others_read(folder, monkeypatch, capsys):
-    out = command(monkeypatch, folder, "reverberation")
-    result = out / "result.json"
-    known = roomfit.read_result(result)
-    assert known.materials == ("walls", "floor", "ceiling") and known.draws.shape[1:] == (3, 2)
-    np.testing.assert_allclose(known.absorption[2], 0.1)
-    content = json.loads(result.read_text())
-    mean = np.array([c["absorption"] for c in content["combinations"]])
-    assert content["reverberation"]["formula"] == "Sabine"
-    # 0.161 * 144 / 1.10 / 180, less the air
-    assert mean[1] == pytest.approx(0.161 * 144 / 1.10 / 180, rel=0.05)
-    exported = folder / "materials.txt"
-    assert run_command(monkeypatch, "export", result, "--format", "isimpa", "--out", exported) == 0
-    assert "walls" in exported.read_text()
-    first = command(monkeypatch, folder, "treat", "--absorption", result)
-    area = json.loads((first / "treatment.json").read_text())["arrangements"][0]["hung"][0]
-    assert area["area_m2"] == pytest.approx(by_hand_m2(144.0, 1.10, 0.8, 0.8), rel=0.03)
-    capsys.readouterr()
-    listening = ("listen", folder / "campaign.toml", "--absorption", result, "--out", folder / "l")
-    assert run_command(monkeypatch, *listening, "--set", "floor=0.5") == 2
-    assert "defines no source" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "options", "words"),
-    [
-        ("", "", ("--pairs", "campaign"), "neither pairs nor states"),
-        (CAMPAIGN[: CAMPAIGN.index("[rever")], "", (), "without walls"),
-        ('"Sabine"', '"Sabin"', (), "formula"),
-    ],
-)
-def test_what_is_missing_is_said(folder, monkeypatch, capsys, old, new, options, words):
-    text = CAMPAIGN.replace(old, new) if old else CAMPAIGN
-    if words == "without walls":
-        text += "volume_m3 = 144\nsurface_m2 = 180\n"
-    (folder / "campaign.toml").write_text(text)
-    files = (folder / "campaign.toml", folder / "treatment.toml")
-    assert run_command(monkeypatch, "treat", *files, *options, "--out", folder / "out") == 2
-    assert words in capsys.readouterr().err
-    assert not (folder / "out").exists()
-
-
-def test_doubts_of_a_result_stop_changes_without_positions_too(folder, monkeypatch, capsys):
-    """A result that is seriously doubted, one that is not, and none, which cannot be doubted."""
-    result = command(monkeypatch, folder, "reverberation") / "result.json"
-    files = (folder / "campaign.toml", folder / "treatment.toml")
-    assert run_command(monkeypatch, "treat", *files, "--doubted", "--out", folder / "x") == 2
-    refused = capsys.readouterr().err
-    assert "no result that could be doubted" in refused and "--doubted" in refused
-    content = json.loads(result.read_text())
-    about = {"materials": [], "bands_hz": [], "pairs": [], "files": [], "points_m": []}
-    own = {"code": "decay-bent", "severity": "serious", "sentence": "Bent.", "evidence": {}}
-    content["findings"].append({**own, "about": about})
-    doubted = folder / "doubted.json"
-    doubted.write_text(json.dumps(content))
-    options = ("--absorption", doubted, "--edited")
-    assert run_command(monkeypatch, "treat", *files, *options, "--out", folder / "y") == 2
-    said = capsys.readouterr().err
-    assert "decay-bent" in said and "--doubted" in said
-    command(monkeypatch, folder, "treat", *options, "--doubted")
-    assert "result-doubted" in capsys.readouterr().out
-    changed = (folder / "campaign.toml", *options, "--set", "floor=0.5")
-    assert run_command(monkeypatch, "predict", *changed, "--out", folder / "z") == 2
-    command(monkeypatch, folder, "predict", *options)  # as it was fitted
-
-
-def test_a_flat_room_is_said_to_be_no_diffuse_field(folder, monkeypatch, capsys):
-    """16 by 12 by 3 m: floor and ceiling are 70 % of the surface."""
-    (folder / "campaign.toml").write_text(CAMPAIGN.replace("[8, 6, 3]", "[16, 12, 3]"))
-    command(monkeypatch, folder, "treat")
-    assert "field-not-diffuse" in capsys.readouterr().out
-
-
 def test_in_a_flat_room_a_change_is_that_of_directions_in_every_draw_and_in_the_mean(folder):
     """What was measured stays; the floor does less than its formula says, a wall more."""
     flat = CAMPAIGN.replace("[8, 6, 3]", "[16, 12, 3]").replace(
@@ -272,24 +185,6 @@ def test_in_a_flat_room_a_change_is_that_of_directions_in_every_draw_and_in_the_
         formula = np.log(field.times_s(after) / field.times_s(found))
         ratios[name] = np.log(values["T30_s"].predicted / room.measured_s) / formula
     assert np.all(ratios["floor"] < 0.9) and np.all(ratios["walls"] > 1.1)
-
-
-def test_a_campaign_that_has_measured_pairs_asks_for_its_result_first(folder, monkeypatch, capsys):
-    text = CAMPAIGN.partition("[reverberation]")[0]
-    text += "[sources.S]\nposition = [1, 1, 1]\n[receivers.R]\nposition = [4, 3, 1]\n"
-    (folder / "campaign.toml").write_text(text + '[[measurements]]\nparameters = "p.csv"\n')
-    (folder / "p.csv").write_text("source,receiver,parameter,500\nS,R,T30,0.9\n")
-    files = (folder / "campaign.toml", "--out", folder / "out")
-    assert run_command(monkeypatch, "predict", *files) == 2
-    assert "identify first" in capsys.readouterr().err
-
-
-def test_other_targets_than_reverberation_need_positions(folder):
-    room = prepared(folder)
-    assert [f.code for f in room.findings] == [Code.FROM_DECAY_TIMES]
-    panel = Product("panel", np.full(2, 0.9), np.full(2, 0.02))
-    with pytest.raises(InputError, match="do not determine"):
-        treat(room, (Surface("ceiling"),), (panel,), (Target("C50_dB", low=2.0),))
 
 
 def test_an_error_that_formulas_share_stays_and_no_change_adds_none():
@@ -346,15 +241,3 @@ def test_what_a_change_does_is_surer_the_larger_it_is_and_less_sure_in_flat_and_
     assert factor(usual, -0.3, 9.0, 2.0) == factor(usual, -0.3, 1.0, 2.0)
     assert more < factor(flat, -0.3, 0.5, 2.0)
     assert factor(usual, 0.3, 0.5, 2.0) == more
-
-
-def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then(
-    folder, monkeypatch, capsys
-):
-    out = command(monkeypatch, folder, "predict", "--set", "ceiling=0.6")
-    first = " ".join(capsys.readouterr().out.split())
-    assert first.startswith("With ceiling=0.6: T30 at mid frequencies falls from 1.10 s (measured)")
-    content = json.loads((out / "predicted.json").read_text())
-    time = content["mean"]["T30_s"]
-    said = f"to {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
-    assert said in first

@@ -9,13 +9,17 @@ from itertools import product as combinations
 import numpy as np
 import pytest
 
+import treat as benchmark
 from roomfit.base.bands import bands_between
-from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
 from roomfit.files.questions import question_of
 from roomfit.predict.predict import prepare
+from roomfit.predict.question import Question
 from roomfit.report.treated import treatment_sentence
+from roomfit.settings import Settings
+from roomfit.signals.decay import jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.treat.arrangements import treat
 from roomfit.treat.question import Product, Surface, Target, problem_of, treated, treated_draws
 from roomfit.treat.search import best_arrangement, excess, mean_values, numbers_of
@@ -108,14 +112,6 @@ def test_where_none_is_as_likely_as_asked_the_likeliest_is_shown_not_the_cheapes
     assert shown.cost > first.cost and shown.joint > first.joint
 
 
-def test_several_arrangements_use_different_sets_and_rise_in_cost(room):
-    found = treat(room, SURFACES, products(), at_most(room, 0.85), number=3)
-    sets = [frozenset((h.surface, h.product) for h in a.hung) for a in found.arrangements]
-    assert len(set(sets)) == len(sets) == 3
-    costs = [a.cost for a in found.arrangements]
-    assert costs == sorted(costs)
-
-
 def test_the_odds_are_those_of_draws_and_a_larger_probability_costs_more(room):
     """At a probability of 0.5 a target that is just met has about even odds."""
     target = at_most(room, 0.8)
@@ -150,17 +146,6 @@ def test_the_verdict_is_that_of_the_odds_that_are_printed(room, share, probabili
     assert found.is_met == ("nothing that was allowed" not in said)
 
 
-def test_what_the_prior_alone_says_of_a_covered_surface_is_said(room):
-    def of(name):
-        return Finding(Code.CHANGE_PRIOR_DOMINATED, About(materials=[name], bands_hz=[500]), "")
-
-    unsure = replace(room, dominated=(of("walls"), of("carpet")))
-    asked = (SURFACES[:1], products(), at_most(room, LIMITS[0]))
-    found = [f.about for f in treat(unsure, *asked).findings if f.code is of("walls").code]
-    assert found == [of("walls").about]
-    assert not [f for f in treat(room, *asked).findings if f.code is of("walls").code]
-
-
 def test_a_part_covered_surface_has_the_mean_by_area(room):
     """Linear in area, the product's own where all is covered, and draws follow."""
     whole = Surface("walls")
@@ -175,19 +160,31 @@ def test_a_part_covered_surface_has_the_mean_by_area(room):
     np.testing.assert_allclose(draws[:, m], 0.5 * (room.draws[:, m] + question.drawn[:, 0]))
 
 
-def test_depth_pieces_and_names_are_checked(room):
-    target = at_most(room, 0.8)
-    thin = (Surface("walls", 9.0, depth_m=0.06),)
-    assert problem_of(room, thin, products(), target).product == (0,)
-    for surfaces, words in (
-        ((Surface("wals"),), "did you mean"),
-        ((Surface("walls", 1e4),), "more area is free"),
-        ((Surface("walls", 1.0),), "no product fits"),
-        ((Surface("walls", products=("felt",)),), "a product of the treatment is not known"),
-    ):
-        with pytest.raises(InputError, match=words):
-            problem_of(room, surfaces, products(), target)
-    with pytest.raises(InputError, match="not predicted"):
-        problem_of(room, thin, products(), (Target("T30_s", high=1.0, bands_hz=(4000.0,)),))
-    with pytest.raises(InputError, match="no limits"):
-        Target("T30_s")
+@pytest.mark.slow
+@pytest.mark.parametrize(("cuts", "covered"), [((0.0, 0.5, 1.0), 0), ((0.0, 0.25, 0.75, 1.0), 1)])
+def test_the_mean_by_area_is_within_a_third_of_a_jnd_of_the_divided_ceiling(cuts, covered):
+    """Means over six pairs, as a treatment is judged; the two cases of the largest differences.
+
+    A fifth is measured (`benchmarks/treat.py --parts`), and two traces of 8000 rays differ, too. A
+    ceiling that is left as it was is off by several.
+    """
+    lengths_m = (7.0, 5.0, 3.0)
+    scene = benchmark.box(lengths_m, 6)
+    scene = replace(scene, room=benchmark.strip_room(lengths_m, np.array(cuts)))
+    materials, part = scene.room.materials, float(np.diff(cuts)[covered])
+    ceiling = [i for i, m in enumerate(materials) if m.startswith("strip")]
+    found = {}
+    for name in ("mean", "divided", "none"):
+        a = np.full((len(materials), 6), benchmark.OWN)
+        if name == "mean":
+            a[ceiling] += part * (benchmark.COVER - benchmark.OWN)
+        elif name == "divided":
+            a[materials.index(f"strip{covered + 1}")] = benchmark.COVER
+        known = benchmark.posterior(materials, a)
+        assert len(known.bands) == len(bands_between("octave", 125, 4000))
+        room = prepare(Question(scene, known, settings=Settings(n_rays=8000, n_draws=2)))
+        found[name] = np.mean([n.values for n in room.before], axis=0)[:, 2:5].mean(axis=1)
+    rows = [VALUE_NAMES.index(n) for n in ("T30_s", "EDT_s", "C50_dB")]
+    unit = np.array([float(jnd_of(VALUE_NAMES[r], found["divided"][r])) for r in rows])
+    assert np.all(np.abs(found["mean"] - found["divided"])[rows] < 0.34 * unit)
+    assert np.all(np.abs(found["none"] - found["divided"])[rows] > 2.0 * unit)

@@ -11,7 +11,8 @@ import pytest
 import roomfit
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.room.scene import scene_of, shoebox_room
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import room_from_mesh, scene_of, shoebox_room
 from roomfit.treat.campaign import read_treatment, treat_arguments
 from roomfit.treat.standards import standard_target, standards
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -185,19 +186,15 @@ def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     assert (out / "treatment.svg").read_text().startswith("<svg ")
 
 
-def test_the_absorption_of_a_product_is_given_at_frequencies_in_any_order(tmp_path):
-    """Linear over the logarithm of the frequency: 0.7 at 500 Hz, between 0.5 and 0.9."""
-    both = [
-        arguments(tmp_path, TEXT.replace("[250, 1000], values = [0.5, 0.9]", text))[0]["products"]
-        for text in ("[250, 1000], values = [0.5, 0.9]", "[1000, 250], values = [0.9, 0.5]")
-    ]
-    for products in both:
-        np.testing.assert_allclose(products[0].absorption, [0.7, 0.9])
+@pytest.mark.parametrize(("name", "per_m"), [("b3", 0.20), ("b4", 0.25), ("b5", 0.30)])
+def test_rooms_below_two_and_a_half_metres_have_the_limits_of_one_that_high(name, per_m):
+    """DIN 18041:2016, table 4: A/V of 0.20, 0.25 and 0.30 per metre up to 2.5 m, less above."""
 
+    def limit_s(height_m: float) -> float:
+        room = room_from_mesh(shoebox_mesh((6.0, 5.0, height_m)), {})
+        return standard_target(f"din-18041-{name}", room)[0].high
 
-def test_lists_of_unequal_length_are_refused_with_both_lengths(tmp_path):
-    text = TEXT.replace("values = [0.5, 0.9]", "values = [0.5, 0.9, 0.7]")
-    with pytest.raises(InputError, match="not as many values as centres") as refused:
-        arguments(tmp_path, text)
-    assert "panel" in str(refused.value.where) and refused.value.where.endswith("absorption")
-    assert refused.value.found == "3 values and 2 centres"
+    for height_m in (2.0, 2.3, 2.5):
+        assert limit_s(height_m) == pytest.approx(0.16 / per_m, rel=0.002)
+    # each doubling of the height adds 4.69 log10(2) to the reciprocal of A/V
+    assert limit_s(5.0) - limit_s(2.5) == pytest.approx(0.16 * 4.69 * np.log10(2.0), rel=1e-6)

@@ -66,11 +66,10 @@ def distinct(readings: FloatArray) -> FloatArray:
     float array, shape (n_distinct, 8)
         In the order of first appearance.
     """
-    kept: list[FloatArray] = []
+    kept: dict[tuple[float, ...], FloatArray] = {}
     for row in readings:
-        if not any(np.array_equal(row[1:7], other[1:7]) for other in kept):
-            kept.append(row)
-    return np.array(kept)
+        kept.setdefault(tuple(row[1:7].tolist()), row)
+    return np.array(list(kept.values()))
 
 
 def common_spread(materials: Iterable[FloatArray]) -> float:
@@ -174,20 +173,19 @@ class Catalogue:
     """All entries, in the order of the file: group by group."""
 
     entries: tuple[CatalogueEntry, ...]
-    common_logit_sd: float
-    """How far tables differ, in logit absorption, where they use the same name."""
+    common_logit_sd: float  # how far tables differ where they use the same name
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all entries."""
-        return tuple(e.name for e in self.entries)
+
+@cache
+def _content() -> dict[str, Any]:
+    text = files("roomfit.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
 
 
 @cache
 def catalogue() -> Catalogue:
     """Return the catalogue that comes with roomfit."""
-    text = files("roomfit.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
-    return catalogue_from(tomllib.loads(text))
+    return catalogue_from(_content())
 
 
 def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
@@ -197,27 +195,21 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
     ``what`` and ``readings``: lists of source key, row, and six values (octaves 125 to 4000 Hz) or
     seven (from 63 Hz).
     """
-    sources = content["sources"]
-    readings = {
-        name: tuple(
-            Reading(sources[source], row, _eight(values))
-            for source, row, values in material["readings"]
-        )
-        for name, material in content["materials"].items()
-    }
-    tables = {name: np.array([r.absorption for r in rows]) for name, rows in readings.items()}
+    readings, tables = {}, {}
+    for name, material in content["materials"].items():
+        rows = []
+        for source, row, values in material["readings"]:
+            eight = np.full(8, np.nan)
+            eight[7 - len(values) : 7] = values
+            rows.append(Reading(content["sources"][source], row, eight))
+        readings[name], tables[name] = tuple(rows), np.array([r.absorption for r in rows])
     common = common_spread(tables.values())
-    entries = tuple(
-        CatalogueEntry(
-            name,
-            material["group"],
-            material["what"],
-            readings[name],
-            *typical_logit(tables[name], common),
-        )
-        for name, material in content["materials"].items()
-    )
-    return Catalogue(entries, common)
+    entries = []
+    for name, material in content["materials"].items():
+        mean, sd = typical_logit(tables[name], common)
+        group, what = material["group"], material["what"]
+        entries.append(CatalogueEntry(name, group, what, readings[name], mean, sd))
+    return Catalogue(tuple(entries), common)
 
 
 def find_material(name: str) -> CatalogueEntry:
@@ -245,7 +237,7 @@ def find_material(name: str) -> CatalogueEntry:
 
 def _similar(wanted: str) -> str | None:
     """Names to offer instead: the nearest one, or those that share a word like one of `wanted`."""
-    names = catalogue().names
+    names = [entry.name for entry in catalogue().entries]
     guess = did_you_mean(wanted, names)
     if guess:
         return guess
@@ -264,58 +256,6 @@ def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
         if all(w in f"{e.name} {e.group} {e.description}".lower() for w in wanted)
     )
 
-
-# Words by which rooms name materials, English, German and French, and what they may mean.
-_CURTAINS = ("curtain-medium-draped", "curtain-heavy-draped", "curtain-light-flat")
-_CARPETS = ("carpet-heavy-on-concrete", "carpet-on-underlay", "carpet-thin-on-concrete")
-_PLASTERS = ("plaster-on-masonry", "plaster-painted", "plaster-on-lath")
-_BOARDS = ("plasterboard-on-studs", "plasterboard-mineral-wool", "plasterboard-double-layer")
-_PANELS = ("wood-panelling-10-mm", "wood-panelling-20-mm", "wood-on-solid")
-_PANES = ("glass-3-4-mm", "glass-heavy", "glazing-double")
-_WOOL = ("mineral-wool-50-mm", "mineral-wool-25-mm", "mineral-wool-100-mm")
-_TILES = ("ceiling-tile-suspended", "ceiling-tile-fixed", "ceiling-fibreglass-suspended")
-_SEATS = ("seats-medium-empty", "seats-light-empty", "seats-wood-empty")
-_WORDS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("curtain", "drape", "vorhang", "gardine", "rideau"), _CURTAINS),
-    **dict.fromkeys(("carpet", "teppich", "moquette", "tapis"), _CARPETS),
-    **dict.fromkeys(("plaster", "putz", "stucco", "platre", "enduit"), _PLASTERS),
-    **dict.fromkeys(("plasterboard", "gypsum", "gips", "drywall", "placoplatre"), _BOARDS),
-    **dict.fromkeys(("wood", "holz", "timber", "panelling", "bois"), _PANELS),
-    **dict.fromkeys(
-        ("glass", "glas", "window", "fenster", "glazing", "verre", "vitre", "fenetre"), _PANES
-    ),
-    **dict.fromkeys(("wool", "wolle", "lainederoche", "lainedeverre", "laineminerale"), _WOOL),
-    **dict.fromkeys(("woodwool", "holzwolle"), ("wood-wool-25-mm", "wood-wool-50-mm")),
-    **dict.fromkeys(("ceilingtile", "akustikdecke", "suspendedceiling", "fauxplafond"), _TILES),
-    **dict.fromkeys(
-        ("seat", "chair", "stuhl", "sitz", "bestuhlung", "siege", "chaise", "fauteuil"), _SEATS
-    ),
-    **dict.fromkeys(("door", "tuer", "porte"), ("door-wood-solid",)),
-    **dict.fromkeys(("parquet", "parkett"), ("parquet-on-concrete", "wood-floor-on-joists")),
-    **dict.fromkeys(
-        ("woodfloor", "holzboden", "dielen", "plancherbois"), ("wood-floor-on-joists",)
-    ),
-    **dict.fromkeys(("lino", "vinyl"), ("linoleum-on-concrete", "linoleum-on-underlay")),
-    **dict.fromkeys(("concrete", "beton"), ("concrete-smooth", "concrete-painted")),
-    **dict.fromkeys(
-        ("brick", "ziegel", "backstein", "brique"), ("brick-painted", "brick-unglazed")
-    ),
-    **dict.fromkeys(
-        ("marble", "marmor", "fliese", "stone", "pierre", "marbre", "carrelage"),
-        ("tile-or-marble",),
-    ),
-    **dict.fromkeys(("foam", "schaum", "mousse"), ("foam-50-mm", "foam-25-mm")),
-    **dict.fromkeys(
-        ("audience", "publikum", "public"), ("audience-upholstered", "audience-wood-chairs")
-    ),
-    **dict.fromkeys(("cork", "kork", "liege"), ("cork-tiles",)),
-    **dict.fromkeys(
-        ("plywood", "sperrholz", "contreplaque"), ("plywood-10-mm", "plywood-thin-with-cavity")
-    ),
-    **dict.fromkeys(
-        ("acousticplaster", "akustikputz"), ("acoustic-plaster", "acoustic-plaster-thick")
-    ),
-}
 
 # what follows says where the material is, or what is behind it
 _BESIDE = re.compile(r"\b(?:on|in|over|with|auf|vor|mit|aus|sur|avec|devant|en)\b|[,(]")
@@ -337,36 +277,36 @@ def suggested_entries(name: str) -> tuple[str, ...]:
     plain = name.lower().replace("ü", "ue").replace("_", " ")
     plain = unicodedata.normalize("NFKD", plain)  # accents become letters, which go below
     head = "".join(c for c in _BESIDE.split(plain)[0] if c.isalnum())
-    found = [(head.rfind(word) + len(word), len(word), word) for word in _WORDS if word in head]
-    return _WORDS[max(found)[2]] if found else ()
+    found = [
+        (head.rfind(word) + len(word), len(word), entries)
+        for words, entries in _content()["words"].items()
+        for word in words.split()
+        if word in head
+    ]
+    return tuple(max(found, key=lambda match: match[:2])[2]) if found else ()
 
 
 def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
     """Return one finding for all materials of which nothing is specified, with what they may be."""
-    specified = are_specified(tuple(priors))
-    broad = [
-        k.name
-        for k, own in zip(priors, specified, strict=True)
-        if k.known is None and k.tied_to is None and not own
-    ]
+    each = zip(priors, are_specified(tuple(priors)), strict=True)
+    broad = [k for k, own in each if k.known is None and k.tied_to is None and not own]
     if not broad:
         return ()
-    entries = {name: suggested_entries(name) for name in broad}
-    products = dict.fromkeys(k.product for k in priors if k.product and k.name in broad)
-    tables = [f"[products.{name}]" for name in products]
-    if not {k.name for k in priors if k.product}.issuperset(broad):
+    names = [k.name for k in broad]
+    tables = [f"[products.{name}]" for name in dict.fromkeys(k.product for k in broad if k.product)]
+    if not all(k.product for k in broad):
         tables.append("[materials.NAME]")
-    place = " or ".join(tables)
+    entries = {name: list(suggested_entries(name)) for name in names}
     hints = [f"{name}: {', '.join(found)}" for name, found in entries.items() if found]
     sentence = (
-        f"Nothing is specified of {', '.join(broad)}: a broad prior was taken, 95 % of it from "
+        f"Nothing is specified of {', '.join(names)}: a broad prior was taken, 95 % of it from "
         f'0.01 to 0.77. Where more is known, say it: prior = "ENTRY" or '
-        f"{{mean = [...], sd = [...]}} under {place}."
+        f"{{mean = [...], sd = [...]}} under {' or '.join(tables)}."
     )
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
-    evidence = {"materials": broad, "entries": {n: list(e) for n, e in entries.items()}}
-    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(materials=broad), sentence, evidence),)
+    evidence = {"materials": names, "entries": entries}
+    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(materials=names), sentence, evidence),)
 
 
 def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
@@ -422,8 +362,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 def _middle_and_sd(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     """Return what tables print of an entry in some bands, with its standard deviation."""
-    entry = find_material(name)
-    at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
+    entry, at, known = find_material(name), np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
     mean = expit(np.interp(at, known, entry.logit_mean))
     below, above = np.maximum(known[0] - at, 0.0), np.maximum(at - known[-1], 0.0)
     sd = np.interp(at, known, entry.logit_sd)
@@ -440,11 +379,8 @@ def object_catalogue_area(
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of an equivalent absorption area of the catalogue, in m2.
 
-    Of one piece, or of 1 m2 of floor on which people or seats stand: their absorption coefficient.
-
-    Returns
-    -------
-    mean, sd : float arrays, shape (n_bands,)
+    Of one piece, or of 1 m2 of floor on which people or seats stand: their absorption coefficient;
+    shape (n_bands,) each.
 
     Raises
     ------
@@ -459,13 +395,6 @@ def object_catalogue_area(
             hint="give count in place of a floor" if by_floor else "give floor_area_m2 or outlines",
         )
     return _middle_and_sd(name, bands)
-
-
-def _eight(values: list[float]) -> FloatArray:
-    """Six values from 125 Hz, or seven from 63 Hz, in eight octaves."""
-    eight = np.full(8, np.nan)
-    eight[7 - len(values) : 7] = values
-    return eight
 
 
 _NARROWEST = 1e-3  # between bounds
@@ -528,22 +457,26 @@ def material_prior(
         mean = _middle_between(lower, upper, n, f"{where}.bounds")
     if prior is not None:
         mean, sd = _stated_prior(prior, bands, lower, upper, f"{where}.prior")
-    known = None
-    if absorption is not None:
-        known = _per_band(absorption, n, f"{where}.absorption")
-        _check_within(known, lower, upper, f"{where}.absorption")
-    specified = None
-    if scattering is not None and not isinstance(scattering, str):
-        specified = _per_band(scattering, n, f"{where}.scattering")
+    known = None if absorption is None else _per_band(absorption, n, f"{where}.absorption")
+    if known is not None and not np.all((known >= lower) & (known <= upper)):
+        raise InputError(
+            "a given absorption lies outside of its own bounds",
+            where=f"{where}.absorption",
+            found=f"{known[np.argmax((known < lower) | (known > upper))]:g}",
+            needed=f"{lower:g} to {upper:g}",
+            hint="remove bounds: an absorption that is given is fixed",
+        )
+    is_fitted = isinstance(scattering, str)
+    unspecified = scattering is None or isinstance(scattering, str)
     return MaterialPrior(
         name,
         mean,
         sd,
-        scattering=specified,
+        scattering=None if unspecified else _per_band(scattering, n, f"{where}.scattering"),
         known=known,
         lower=lower,
         upper=upper,
-        fit_scattering=isinstance(scattering, str),
+        fit_scattering=is_fitted,
         tied_to=same_absorption_as,
         wall_delay_sd_s=delay_sd_s,
         specified=prior is not None or bounds is not None,
@@ -590,15 +523,6 @@ def _stated_prior(
         )
     between = (alpha - lower) / (upper - lower)
     return logit_prior(between, alpha_sd / (upper - lower))
-
-
-def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
-    bad = np.flatnonzero((values < lower) | (values > upper))
-    if bad.size:
-        what = "a given absorption lies outside of its own bounds"
-        needed = f"{lower:g} to {upper:g}"
-        hint = "remove bounds: an absorption that is given is fixed"
-        raise InputError(what, where=where, found=f"{values[bad[0]]:g}", needed=needed, hint=hint)
 
 
 def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.base.arguments import check_known, float_array, unique_names
+from roomfit.base.arguments import check_known, check_range, float_array, unique_names
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
@@ -75,15 +76,24 @@ class MaterialPrior:
             if value is not None:
                 values = float_array(f"{where}.{key}", value, (n,), low=0.0, high=1.0)
                 object.__setattr__(self, name, values)
-        _check_tie(self)
-        if self.wall_delay_sd_s is not None and not 0.0 <= self.wall_delay_sd_s < 0.1:
-            raise InputError(
-                "spread of a wall's delay out of range",
-                where=where,
-                found=f"{self.wall_delay_sd_s:g} s",
-                needed="0 to 0.1 s",
-                hint="absorbers delay by tenths of a millisecond: 0.0003",
-            )
+        check_range("spread of the walls of a product", self.product_sd, *PRODUCT_SDS, where=where)
+        if self.wall_delay_sd_s is not None:
+            check_range("spread of a wall's delay", self.wall_delay_sd_s, 0.0, 0.1, "s", where)
+        if self.tied_to is None:
+            return
+        tied, or_other = f"tied to {self.tied_to!r}", "the other"
+        needed, what = "another material's name", "a material is tied to itself"
+        if self.product is not None:
+            what, or_other = "a tied material is of a product", "product"
+            tied += f", product {self.product!r}"
+            needed = "either: equal to one wall, or like all walls of a product"
+        elif self.tied_to != self.name and self.known is not None:
+            what, tied = "a tied material has a value of its own", f"{tied} and absorption given"
+            needed = "either a tie or a given absorption"
+        elif self.tied_to != self.name:
+            return
+        hint = f"leave out same_absorption_as, or {or_other}"
+        raise InputError(what, where=where, found=tied, needed=needed, hint=hint)
 
 
 def object_volumes_m3(priors: Sequence[MaterialPrior]) -> dict[str, float]:
@@ -313,33 +323,20 @@ def object_prior(
         whole = np.full(n, float(given)) if given.ndim == 0 else given
         return float_array(f"{where}.{key}", whole, (n,), low=low, high=1e6, unit="m2")
 
+    ones = np.ones(n)
     plain = MaterialPrior(
-        name,
-        np.zeros(n),
-        np.ones(n),
-        np.zeros(n),
-        wall_delay_sd_s=0.0,
-        object_volume_m3=volume_m3,
+        name, 0.0 * ones, ones, 0.0 * ones, wall_delay_sd_s=0.0, object_volume_m3=volume_m3
     )
-    if absorption_area_m2 is not None:
-        area_m2 = per_band("absorption_area_m2", absorption_area_m2, 0.0)
+    if prior_m2 is None:
+        area_m2 = per_band("absorption_area_m2", cast("ArrayLike", absorption_area_m2), 0.0)
         return replace(plain, known=object_absorption(area_m2, volume_m3))
-    assert prior_m2 is not None  # noqa: S101 - one of the two is given
-    mean, sd = (
-        per_band(f"prior.{key}", values, 1e-6)
-        for key, values in zip(("mean", "sd"), prior_m2, strict=True)
-    )
+    mean, sd = per_band("prior.mean", prior_m2[0], 1e-6), per_band("prior.sd", prior_m2[1], 1e-6)
     most = float(object_absorption(mean + _OBJECT_REACH_SD * sd, volume_m3).max())
-    share = object_absorption(mean, volume_m3) / most
     # that of the logarithm of a log-normal law with this mean and standard deviation
     spread = np.sqrt(np.log1p((sd / mean) ** 2))
-    middle = share * np.exp(-0.5 * spread**2)
-    return replace(
-        plain,
-        prior_logit_mean=logit(middle, 0.0),
-        prior_logit_sd=spread / (1.0 - middle),
-        upper=most,
-    )
+    middle = object_absorption(mean, volume_m3) / most * np.exp(-0.5 * spread**2)
+    prior_sd = spread / (1.0 - middle)
+    return replace(plain, prior_logit_mean=logit(middle, 0.0), prior_logit_sd=prior_sd, upper=most)
 
 
 def unknown_material(name: str, n_bands: int) -> MaterialPrior:
@@ -378,24 +375,15 @@ def complete_priors(
         number of bands, a tie to a material that is tied itself or not there, or materials of one
         product with different priors.
     """
+    unique_names("prior", [k.name for k in priors])
     by_name = {k.name: k for k in priors}
-    if len(by_name) != len(priors):
-        names = [k.name for k in priors]
-        twice = next(n for n in names if names.count(n) > 1)
-        what = "two priors of one material"
-        raise InputError(what, found=repr(twice), needed="one each", hint="leave one of them out")
     for k in priors:
-        check_known(
-            "a prior of a material that the room does not have",
-            k.name,
-            materials,
-            where=f"materials.{k.name}",
-            else_try="see [room.materials]",
-        )
+        what, where = "a prior of a material that the room does not have", f"materials.{k.name}"
+        check_known(what, k.name, materials, where=where, else_try="see [room.materials]")
         if k.prior_logit_mean.size != len(bands):
             raise InputError(
                 "a prior has not one value per band",
-                where=f"materials.{k.name}",
+                where=where,
                 found=f"{k.prior_logit_mean.size} values",
                 needed=f"{len(bands)}, of the bands that are fitted",
                 hint="make the priors for the bands that are fitted",
@@ -412,14 +400,12 @@ def complete_priors(
 
 def _check_product(name: str, members: list[MaterialPrior]) -> None:
     first = members[0]
-    for k in members:
-        alike = (
-            np.array_equal(k.prior_logit_mean, first.prior_logit_mean)
-            and np.array_equal(k.prior_logit_sd, first.prior_logit_sd)
-            and (k.lower, k.upper, k.product_sd) == (first.lower, first.upper, first.product_sd)
-            and k.specified == first.specified
-        )
-        if not alike:
+    stated = [
+        (*k.prior_logit_mean, *k.prior_logit_sd, k.lower, k.upper, k.product_sd, k.specified)
+        for k in members
+    ]
+    for k, own in zip(members, stated, strict=True):
+        if own != stated[0]:
             raise InputError(
                 "materials of one product have different priors",
                 where=f"materials.{k.name}",
@@ -427,8 +413,7 @@ def _check_product(name: str, members: list[MaterialPrior]) -> None:
                 needed="one prior, one pair of bounds and one product_sd for all of a product",
                 hint=f"state them once, in [products.{name}]",
             )
-        at = (0.5,) if k.known is None else (k.known - k.lower) / (k.upper - k.lower)
-        if not np.all((np.array(at) > 0.0) & (np.array(at) < 1.0)):
+        if k.known is not None and not np.all((k.known > k.lower) & (k.known < k.upper)):
             raise InputError(
                 "an absorption at its bound says nothing of other walls of a product",
                 where=f"materials.{k.name}.absorption",
@@ -462,37 +447,6 @@ def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -
     # numbers that went through a file
     same = np.isclose(prior_logit_mean, mean, rtol=1e-4)
     return np.asarray(same & np.isclose(prior_logit_sd, DEFAULT_LOGIT_SD, rtol=1e-4))
-
-
-def _check_tie(prior: MaterialPrior) -> None:
-    low, high = PRODUCT_SDS
-    if not low <= prior.product_sd <= high:
-        raise InputError(
-            "spread of the walls of a product out of range",
-            where=f"materials.{prior.name}",
-            found=f"{prior.product_sd:g}",
-            needed=f"{low:g} to {high:g}, standard deviation of logit absorption",
-            hint="walls that are equal share one absorption: same_absorption_as",
-        )
-    if prior.tied_to is None:
-        return
-    if prior.product is not None:
-        raise InputError(
-            "a tied material is of a product",
-            where=f"materials.{prior.name}",
-            found=f"tied to {prior.tied_to!r}, product {prior.product!r}",
-            needed="either: equal to one wall, or like all walls of a product",
-            hint="leave out same_absorption_as, or product",
-        )
-    if prior.tied_to == prior.name or prior.known is not None:
-        own = prior.tied_to == prior.name
-        raise InputError(
-            "a material is tied to itself" if own else "a tied material has a value of its own",
-            where=f"materials.{prior.name}",
-            found=f"tied to {prior.tied_to!r}" + ("" if own else " and absorption given"),
-            needed="another material's name" if own else "either a tie or a given absorption",
-            hint="leave out same_absorption_as, or the other",
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
