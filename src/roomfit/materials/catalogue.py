@@ -466,17 +466,18 @@ def material_prior(
             needed=f"{lower:g} to {upper:g}",
             hint="remove bounds: an absorption that is given is fixed",
         )
-    is_fitted = isinstance(scattering, str)
-    unspecified = scattering is None or isinstance(scattering, str)
+    specified = None
+    if scattering is not None and not isinstance(scattering, str):
+        specified = _per_band(scattering, n, f"{where}.scattering")
     return MaterialPrior(
         name,
         mean,
         sd,
-        scattering=None if unspecified else _per_band(scattering, n, f"{where}.scattering"),
+        scattering=specified,
         known=known,
         lower=lower,
         upper=upper,
-        fit_scattering=is_fitted,
+        fit_scattering=isinstance(scattering, str),
         tied_to=same_absorption_as,
         wall_delay_sd_s=delay_sd_s,
         specified=prior is not None or bounds is not None,
