@@ -21,19 +21,17 @@ from roomfit.fit.directivity import (
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
+from roomfit.fit.scattering import band_factors
 from roomfit.fit.solve import other_terms
 from roomfit.fit.systematics import inflated_by_adjacent_bands
-from roomfit.fit.trace_plan import has_every_order, images_until_s, traced_s
-from roomfit.materials.priors import MaterialPrior
+from roomfit.fit.trace_plan import has_every_order, images_until_s, in_lattice, traced_s
+from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.model.binned import BinnedPaths, bin_paths
 from roomfit.model.room_parameters import without_responses
-from roomfit.pressures.far_images import (
-    Retrace,
-    fit_until_s,
-    retracing,
-)
 from roomfit.pressures.fit import (
     CoherentFit,
-    CoherentTask,
+    Retrace,
+    State,
     coherent_estimate,
     contradicted_position_sd_scale,
     energy_estimates,
@@ -45,17 +43,17 @@ from roomfit.pressures.geometry import prior_speed_sd
 from roomfit.pressures.sequential import (
     TELLING_HZ,
     UNDECIDED,
-    CoherentOptions,
     forward_pass,
     log_evidences,
 )
-from roomfit.room.scene import select_pairs
+from roomfit.room.scene import Scene, select_pairs
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, concatenate, select
 from roomfit.uncertainty.gaussian import BandEstimate, Refine
 from roomfit.uncertainty.intervals import with_both_intervals
 
 _LOG = logging.getLogger("roomfit")
-_LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 
 
 def fit_by_pressures(
@@ -81,8 +79,8 @@ def fit_by_pressures(
         return None
     traced = traced_paths(measured, priors, settings, start, part(progress, 0.0, 0.45), far_s)
     _LOG.info("fitting pressures and energies")
-    task = coherent_task(measured, priors, traced, start, settings, retracing(measured, traced))
-    state = initialise(task, traced)
+    again = retracing(measured, traced)
+    state = initialise(unfitted(measured, priors, traced, start, settings, again), traced)
     fit = fit_coherent(state, traced, part(progress, 0.45, 0.86))
     _LOG.info("finding confidence intervals")
     fits = coherent_answers(fit, settings, refine, part(progress, 0.86, 1.0))
@@ -91,39 +89,64 @@ def fit_by_pressures(
     return traced, fits
 
 
-def coherent_task(
+def unfitted(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
     retrace: Retrace | None = None,
-) -> CoherentTask:
-    """Return what is to be fitted by partly coherent image sources; see `estimate_energies`."""
-    unknown = directivity_parameters(measured, settings)
-    return CoherentTask(
+) -> State:
+    """Return what is to be fitted by partly coherent image sources, nothing of it yet."""
+    unknown, until_s = directivity_parameters(measured, settings), traced.settings.image_until_s
+    # what is left in a smooth box travels between two hard walls along paths that few rays find
+    smooth = not np.any(traced.paths.sampling_scattering)
+    ends = until_s and smooth and in_lattice(measured.scene.room, settings)
+    return State(
         measured.scene,
         measured.bands,
         priors,
         measured.responses,
         start,
-        CoherentOptions(
-            positions="fixed" if settings.positions == "fixed" else "fit",
-            delays=settings.reflection_delays,
-            model="coherent" if settings.model == "coherent" else "auto",
-            end_s=settings.coherent_until_s,
-            late_end_s=fit_until_s(measured.scene, traced, settings),
-            speed_sd=prior_speed_sd(measured.scene.air, settings),
-            max_rounds=settings.max_rounds,
-            quick=settings.quick,
-        ),
+        settings,
+        prior_speed_sd(measured.scene.air, settings),
+        until_s if until_s and ends else np.inf,
         other_terms(measured, traced),
         unknown,
         omnidirectional(measured) if unknown is None else None,
-        scattering=(traced.scattering, traced.scattering_sd),
-        fits_contradicted=is_fittable(measured, settings),
-        retrace=retrace,
+        is_fittable(measured, settings),
+        (traced.scattering, traced.scattering_sd),
+        retrace,
+        traced.paths,
+        traced.factors,
+        traced.binned,
     )
+
+
+def retracing(measured: Measurements, traced: TracedPaths) -> Retrace | None:
+    """Return what finds the image sources of moved points, with the rays of the first trace.
+
+    None where all images stay, as in a box, or too few are known.
+    """
+    settings, bands = traced.settings, measured.bands
+    until_s = settings.image_until_s
+    if not settings.n_rays:
+        until_s = until_s or settings.duration_s
+    # of a box with one surface a wall, images strike the same walls wherever the points move
+    if until_s is None or measured.scene.room.shoebox_m is not None:
+        return None
+    rays = select(traced.paths, traced.paths.batch >= 0)
+    scattering = Scattering(rays.materials, rays.sampling_scattering)
+
+    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
+        images = trace_images(
+            moved, settings.image_order, until_s, scattering, with_image_transforms=True
+        )
+        both = concatenate([images, rays])
+        factors, _ = band_factors(measured.directivities, moved, bands, both, traced.scattering)
+        return both, factors, bin_paths(moved, bands, both, settings.duration_s, factors)
+
+    return again
 
 
 # The trial of pressures: how many responses at most, and how far apart its two bands are; rays a
@@ -171,11 +194,11 @@ def is_promising(
     traced = traced_paths(few, priors, quick, start, None, far_s)
     if not has_every_order(traced.settings):
         return True
-    task = coherent_task(few, priors, traced, start, quick)
-    state = with_sources_examined(initialise(task, traced), traced)
-    fits = forward_pass(state.bands, task.settings, None)
+    state = initialise(unfitted(few, priors, traced, start, quick), traced)
+    state = with_sources_examined(state, traced)
+    fits = forward_pass(state.each, quick, None)
     gains = []
-    for own, fit in ((state.bands[b], fits[b]) for b in (low, high)):
+    for own, fit in ((state.each[b], fits[b]) for b in (low, high)):
         if own is None:
             return True
         if fit is None:
@@ -206,7 +229,7 @@ def coherent_answers(
     fit: CoherentFit, settings: Settings, refine: Refine, progress: Progress | None
 ) -> BandFits:
     """Return each band's estimate by partly coherent image sources where they explain it."""
-    task, n = fit.state.task, len(fit.fits)
+    state, n = fit.state, len(fit.fits)
     by_energies = energy_estimates(fit)
 
     def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
@@ -217,21 +240,21 @@ def coherent_answers(
         )
 
     coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
-    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, task.priors))
+    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, state.priors))
 
     # where no response has data, room parameters or the prior
     def rest(b: int) -> BandEstimate:
-        alone = without_responses(task.others[b], task.priors, b, task.start)
+        alone = without_responses(state.others[b], state.priors, b, state.start)
         done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
-        return refine(fitted_band(b, alone, task.priors, settings, done))
+        return refine(fitted_band(b, alone, state.priors, settings, done))
 
     missing = [b for b, e in enumerate(chosen) if e is None]
     others = dict(zip(missing, in_forks(rest, missing), strict=True))
     each = [others[b] if e is None else e for b, e in enumerate(chosen)]
     estimates = tuple(each)
-    directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
-    found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
-    unknown = task.directivity_parameters
+    directivities = tuple(None if b is None else b.directivity for b in state.each)
+    found = band_directivities(state.scene, state.directivity_parameters, directivities, estimates)
+    unknown = state.directivity_parameters
     return BandFits(estimates, fit.geometry, found, unknown, fit.contradicted, fit.tests)
 
 
@@ -240,25 +263,15 @@ def decided(
     energy: Sequence[BandEstimate | None],
     coherent: Sequence[BandEstimate | None],
 ) -> tuple[BandEstimate | None, ...]:
-    """Return each band's estimate by the model of larger evidence, None without data."""
-    task = fit.state.task
-    return tuple(
-        _decided(*each, task.settings)
-        for each in zip(energy, coherent, fit.log_evidences, strict=True)
-    )
+    """Return each band's estimate by the model of larger evidence, None without data.
 
-
-def _decided(
-    energy: BandEstimate | None,
-    coherent: BandEstimate | None,
-    evidences: FloatArray,
-    settings: CoherentOptions,
-) -> BandEstimate | None:
-    """Return the answer of larger evidence; with both intervals where evidence cannot decide."""
-    if coherent is None:
-        return energy
-    if energy is None or settings.model == "coherent":
-        return coherent
-    better = evidences[1] - evidences[0]
-    best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
-    return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)
+    With both intervals where evidence cannot decide.
+    """
+    chosen: list[BandEstimate | None] = []
+    for plain, added, (a, b) in zip(energy, coherent, fit.log_evidences, strict=True):
+        if added is None or plain is None or fit.state.settings.model == "coherent":
+            chosen.append(plain if added is None else added)
+            continue
+        best, other = (added, plain) if b > a else (plain, added)
+        chosen.append(best if abs(b - a) >= UNDECIDED else with_both_intervals(best, other))
+    return tuple(chosen)

@@ -33,20 +33,18 @@ from roomfit.model.problem import DataTerm, Rows, Values
 from roomfit.model.pulses import BandGrid, band_grid
 from roomfit.model.weighing import ROWS_WORTH_THREADS, RowBasis, first_rows, shared_zeros
 from roomfit.model.windows import in_windows, squares_in_windows, with_squares
-from roomfit.pressures.directed import (
-    DirectedImages,
-    coherent_slopes,
-    directed_images,
-    image_amplitudes,
-    image_basis,
-)
 from roomfit.pressures.geometry import Geometry, local_roots, times_of
 from roomfit.pressures.response import (
+    DirectedImages,
     ImagePaths,
     binned_energies,
     binned_shares,
     chosen_paths,
     coherent_response,
+    coherent_slopes,
+    directed_images,
+    image_amplitudes,
+    image_basis,
     image_energies,
     spread_squared,
 )

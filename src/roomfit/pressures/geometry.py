@@ -39,6 +39,10 @@ class Geometry:
     # (n,), free numbers of the positions for which paths were traced; None: the specified ones
     origin: FloatArray | None = None
 
+    def moves(self) -> BoolArray:
+        """Return which entries are free numbers of a fit, shape (n,)."""
+        return np.asarray(self.fitted & (self.sd > 0.0))
+
 
 def geometry_block(geometry: Geometry) -> Block:
     """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
@@ -48,7 +52,7 @@ def geometry_block(geometry: Geometry) -> Block:
         geometry.labels,
         "identity",
         np.zeros(n),
-        geometry.fitted & (geometry.sd > 0.0),
+        geometry.moves(),
         np.zeros(n),
         np.ones(n),
         np.full(n, -1e6),
@@ -89,7 +93,7 @@ def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> Fl
     n = geometry.sd.size
     out = np.eye(n)
     if fitted is not None:
-        free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+        free = np.flatnonzero(geometry.moves())
         out[np.ix_(free, free)] = fitted
     return out
 
@@ -106,6 +110,7 @@ def campaign_geometry(
     positions: bool,
     delays: bool,
     speed_sd: float,
+    origin: FloatArray | None = None,
 ) -> Geometry:
     """Return the unknowns of arrival times of the fitted measurements."""
     labels: list[str] = []
@@ -140,7 +145,8 @@ def campaign_geometry(
         xyz = (*range(source, source + 3), *range(receiver, receiver + 3))
         late = latency[m.measurement.source, m.measurement.state]
         columns.append([*xyz, speed, late, *range(first_delay, len(labels))])
-    return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
+    speed_m_s = speed_of_sound_m_s(scene.air)
+    return Geometry(tuple(labels), sds, free, speed_m_s, np.array(columns), origin)
 
 
 def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[Scene, FloatArray]:
@@ -149,7 +155,7 @@ def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[S
     Shapes: `fitted` (n_fitted,).
     """
     values = np.zeros(geometry.sd.size)
-    values[geometry.fitted & (geometry.sd > 0.0)] = fitted
+    values[geometry.moves()] = fitted
     n_position_coordinates = 3 * (len(scene.sources) + len(scene.receivers))
     origin = np.where(np.arange(values.size) < n_position_coordinates, values, 0.0)
     steps = (geometry.sd * origin)[:n_position_coordinates].reshape(-1, 3)
@@ -161,7 +167,7 @@ def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[S
 
 def fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:
     """Return the geometry after the last band, with its standard deviations."""
-    free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+    free = np.flatnonzero(geometry.moves())
     change, sd = np.zeros(geometry.sd.size), np.array(geometry.sd)
     change[free] = geometry.sd[free] * final.mean
     sd[free] = geometry.sd[free] * np.sqrt(np.diag(np.linalg.inv(final.information)))

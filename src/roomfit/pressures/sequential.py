@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -19,11 +18,9 @@ from roomfit.model.parameters import GEOMETRY, Marginal, Parameters, position_of
 from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
-from roomfit.settings import MAX_ROUNDS, SPEED_OF_SOUND_SD
+from roomfit.settings import MAX_ROUNDS, Settings
 from roomfit.solver import BandFit, marginal, score_band
 
-# Later pressures tell little more and need many more images.
-FIT_END_S = 0.2
 # Error of the model, ringing, and random phase of a reflection, from good to bad.
 NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 # One as likely leads on to the next, and so does a random phase that is less likely: it is nothing
@@ -41,24 +38,6 @@ TELLING_HZ = 1000.0
 # How far from its answer a fit may end, in standard deviations of an absorption: before coherence
 # is renewed, and where each band is fitted once more under all others.
 _BEFORE_THE_NEXT_ROUND_SD, BEFORE_THE_LAST_PASS_SD = 1.0, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class CoherentOptions:
-    """What a fit may vary."""
-
-    # whether positions, speed of sound and latencies move within their standard deviation
-    positions: Literal["fit", "fixed"] = "fit"
-    delays: bool = True  # whether walls may delay what they reflect
-    # "auto" leaves it to the evidence of each band
-    model: Literal["auto", "coherent", "energy"] = "auto"
-    # until when pressures add, after emission; from there on energies do
-    end_s: float = FIT_END_S
-    # where the last window ends at the latest; without a limit it ends where the decay drowns
-    late_end_s: float = np.inf
-    speed_sd: float = SPEED_OF_SOUND_SD  # prior relative standard deviation of the speed of sound
-    max_rounds: int = MAX_ROUNDS  # steps of a fit at most, each with weights of its own
-    quick: bool = False  # no fault is looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +143,7 @@ def fit_in_rounds(
 
 def forward_pass(
     bands: Sequence[CoherentBand | None],
-    options: CoherentOptions,
+    settings: Settings,
     progress: Progress | None,
     starts: Sequence[FloatArray | None] = (),
     known_before: Marginal | None = None,
@@ -179,11 +158,11 @@ def forward_pass(
     """
     fits: list[CoherentBandFit | None] = []
     known: Marginal | None = None
-    there = [own for own in bands if own is not None and options.model == "auto"]
+    there = [own for own in bands if own is not None and settings.model == "auto"]
     # no lower band changes them
     with beside(lambda: [evidence_of_energies(own) for own in there]) as evidences:
         for i, band in enumerate(bands):
-            if band is None or options.model == "energy":
+            if band is None:
                 fits.append(None)
                 continue
             geometry = geometry_block(band.coherent.geometry)
@@ -195,7 +174,7 @@ def forward_pass(
             if known_before is not None:
                 moved = known_before.mean
                 covariance = np.asarray(np.linalg.inv(known_before.information))
-            limit = options.max_rounds
+            limit = settings.max_rounds
             best = fit_in_rounds(
                 band,
                 np.append(vector, moved),
@@ -247,7 +226,7 @@ def contradicts_geometry(
 def leave_one_out_pass(
     bands: Sequence[CoherentBand | None],
     fits: Sequence[CoherentBandFit | None],
-    options: CoherentOptions,
+    settings: Settings,
 ) -> tuple[list[CoherentBandFit | None], Marginal | None]:
     """Fit each band again under what all the others say of the geometry, and return that of all."""
     again = list(fits)
@@ -275,7 +254,7 @@ def leave_one_out_pass(
             joint,
             covariance=covariance,
             rounds=1,
-            max_rounds=options.max_rounds,
+            max_rounds=settings.max_rounds,
         )
         return replace(last, energy_log_evidence=fit.energy_log_evidence)
 
