@@ -125,10 +125,10 @@ def _fill(folder: Path) -> None:
     from roomfit.app import project, views
 
     folder.mkdir(parents=True, exist_ok=True)
-    views.demo(lambda _: None, str(folder))
+    views.demo(lambda _: None, folder)
     (folder / "treatment.toml").write_text(_TREATMENT)
     project.set_bands(folder, 125.0, 8000.0)
-    views.identify(lambda _: None, str(folder), False)
+    views.identify(lambda _: None, folder, False)
 
 
 def _show(page: Any, tab: str) -> None:

@@ -177,7 +177,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from roomfit.app import views
 
     folder = tmp_path_factory.mktemp("demo")
-    views.demo(lambda _: None, str(folder))
+    views.demo(lambda _: None, folder)
     file = folder / "campaign.toml"
     other = r'(\[\[measurements\]\]\nsource = "LS2"|\[sources\.LS2\])\n.*\n.*\n'
     left, n_tables = re.subn(other, "", file.read_text())
@@ -196,7 +196,7 @@ def answered(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[R
     shutil.copytree(demo, folder)
     project.set_bands(folder, 125.0, 8000.0)
     (folder / "treatment.toml").write_text(TREATMENT)
-    views.identify(lambda _: None, str(folder), True)
+    views.identify(lambda _: None, folder, True)
     with running(folder) as server:
         yield server
 
@@ -529,7 +529,7 @@ def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
 
     from roomfit.app import project, views
 
-    views.set_room(lambda _: None, str(tmp_path), shoebox=[5.0, 4.0, 3.0])
+    views.set_room(tmp_path, shoebox=[5.0, 4.0, 3.0])
     rng, t = np.random.default_rng(1), np.arange(40_000) / 48_000.0
     room = 0.002 * rng.normal(size=len(t)) * 10.0 ** (-3.0 * t / 0.4)
     room[:300], room[300] = 0.0, 0.05
@@ -578,7 +578,7 @@ def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
     # its row, and positions that are still to be given
     for kind, name in (("sources", "LS2"), ("receivers", "R1")):
         project.set_position(tmp_path, kind, name, (1.0, 1.0 + (name == "R1"), 1.2))
-    view = views.recordings_view(lambda _: None, str(tmp_path))
+    view = views.recordings_view(tmp_path)
     (row,) = view["rows"]
     assert row["file"] == "recordings/LS2_R1.wav" and all(row["has_t20"])
     # the delay of the devices is no fault of the recording

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from roomfit.app.project import served_file
-from roomfit.app.security import Door, Guard, new_door, refusal
+from roomfit.app.security import Door, Guard
 from roomfit.base.errors import InputError
 
-DOOR = new_door("127.0.0.1", 8321, 2**20)
+DOOR = Door("127.0.0.1", 8321, 2**20)
 
 
 def scope(
@@ -32,12 +32,12 @@ def scope(
 
 def test_the_session_is_the_whole_cookie_and_no_part_of_it() -> None:
     whole = DOOR.session
-    assert refusal(DOOR, scope(f"{DOOR.cookie}={whole}")) is None
+    assert DOOR.refusal(scope(f"{DOOR.cookie}={whole}")) is None
     for part in ("", whole[:-1], whole[:8], whole[1:], whole + "x", whole.swapcase(), DOOR.token):
-        refused = refusal(DOOR, scope(f"{DOOR.cookie}={part}"))
+        refused = DOOR.refusal(scope(f"{DOOR.cookie}={part}"))
         assert refused is not None and refused[0] == 403, part
     for cookie in (None, "", DOOR.cookie, f"roomfit-8322={whole}", f"x={whole}", whole):
-        refused = refusal(DOOR, scope(cookie))
+        refused = DOOR.refusal(scope(cookie))
         assert refused is not None and refused[0] == 403, cookie
 
 

@@ -20,7 +20,7 @@ import soundfile
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
-from roomfit.app.security import is_own_host, new_door
+from roomfit.app.security import Door
 from workbench import Running, running
 
 pytestmark = pytest.mark.slow
@@ -321,11 +321,11 @@ def test_it_listens_on_this_machine_only(server: Running) -> None:
 
 def test_open_to_a_network_it_still_answers_to_no_foreign_name() -> None:
     """An address in numbers cannot be rebound, a name can."""
-    door = new_door("0.0.0.0", 8321, 1, ("desk",))
-    assert all(is_own_host(door, h) for h in ("192.168.1.7:8321", "desk:8321", "[fe80::1]:8321"))
+    door = Door("0.0.0.0", 8321, 1, ("desk",))
+    assert all(door.is_own_host(h) for h in ("192.168.1.7:8321", "desk:8321", "[fe80::1]:8321"))
     wrong = ("evil.example:8321", "192.168.1.7:80", "192.168.1.7.evil.example:8321", "desk", "")
-    assert not any(is_own_host(door, h) for h in wrong)
-    assert not is_own_host(new_door("127.0.0.1", 8321, 1), "192.168.1.7:8321")
+    assert not any(door.is_own_host(h) for h in wrong)
+    assert not Door("127.0.0.1", 8321, 1).is_own_host("192.168.1.7:8321")
 
 
 def test_a_header_of_200_kilobytes_is_refused_and_the_page_goes_on(server: Running) -> None:

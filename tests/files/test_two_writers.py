@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.app import project, recordings
+from roomfit.app import project
 from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.cli.init import draft_to_folder
 from roomfit.files import edits
@@ -102,7 +102,7 @@ def edit_key(folder: Path) -> None:
 
 
 def name_rows(folder: Path) -> None:
-    recordings.name_recordings(folder, {"S1": (1.0, 1.0, 1.0)})
+    project.name_recordings(folder, {"S1": (1.0, 1.0, 1.0)})
 
 
 CHANGES: dict[str, Callable[[Path], None]] = {

@@ -24,7 +24,7 @@ def main() -> None:
     kind, folder = sys.argv[1], Path(sys.argv[2])
     if kind == "page":
         reading, _ = map(int, sys.argv[3].split(","))
-        module = [sys.executable, "-m", "roomfit.app.worker", "0"]
+        module = [sys.executable, "-m", "roomfit.app.jobs", "0"]
         found = subprocess.Popen(
             module, stdin=reading, stdout=subprocess.PIPE, start_new_session=True
         )

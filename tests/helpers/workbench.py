@@ -124,11 +124,10 @@ def running(folder: Path, limits: str = "") -> Iterator[Running]:
 def chromium() -> Any:
     """Return a function that starts a browser, or skip."""
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    path = next(
-        (p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), ""
-    )
+    usual = ("/usr/bin/chromium", "/usr/bin/chromium-browser")
+    path = next((p for p in (os.environ.get("CHROMIUM", ""), *usual) if Path(p).is_file()), "")
     if not path:
-        pytest.skip("no Chromium at /usr/bin/chromium")
+        pytest.skip("no Chromium at /usr/bin/chromium, and none that CHROMIUM names")
     # a microphone that beeps, which is asked for without a question
     fake = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
     return playwright.sync_playwright, {"executable_path": path, "args": ["--no-sandbox", *fake]}

@@ -1,148 +1,154 @@
-"""What several tabs are made of: the room, a place for files, tables and findings."""
+"""What tabs are made of: scripts that draw, a place for files, fields, findings and remedies."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote
 from weakref import WeakKeyDictionary
 
-from nicegui import events, ui
+from nicegui import ui
 from nicegui.element import Element
 
+from roomfit.app import project
+from roomfit.app.jobs import Bench
 from roomfit.base.errors import InputError
+from roomfit.base.table import Cell, Table, Value, html_of
+from roomfit.files import edits
 
 _WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
 _SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()
+Then = Callable[[], Any]
 
 
-class Questions:
-    """Which of several questions is the newest: only the answer to that one is shown."""
+class Tab:
+    """A tab: drawn where it is made, and drawn anew when one of its files has changed."""
 
-    def __init__(self, place: Element) -> None:
-        self._place = place
-        self._n_put = 0
+    name: ClassVar[str]
+    files: ClassVar[tuple[str, ...]]  # within the project's folder; folders, too
 
-    def put(self) -> Callable[[], bool]:
-        """Count a question; return whether its answer is to be shown, to be called then."""
-        self._n_put += 1
-        return self.since()
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.place = ui.element("div").style("width: 100%")
+        self.n_asked = 0
 
-    def since(self) -> Callable[[], bool]:
-        """Return what is true until the next question, or until the page is closed."""
-        own = self._n_put
-        return lambda: not self._place.is_deleted and own == self._n_put
+    async def refresh(self) -> None:
+        """Ask for what is to be shown now, and show it."""
+        raise NotImplementedError
+
+    async def newest(self, question: Awaitable[Any]) -> Any:
+        """Return an answer; None where another question was put meanwhile, or the page closed."""
+        self.n_asked += 1
+        number = self.n_asked
+        answer = await question
+        return None if self.place.is_deleted or number != self.n_asked else answer
 
 
-class RoomView(Element, component="room_view.js"):
+class Scripted(Element):
+    """What a script of this folder draws: it says one kind of event, and is told properties."""
+
+    def __init__(
+        self, event: str, on_event: Callable[[Any], Any], *, throttle: float = 0.0, **told: Any
+    ) -> None:
+        super().__init__()
+        self.tell(**told)
+        self.on(event, lambda said: on_event(said.args), throttle=throttle)
+
+    def tell(self, **told: Any) -> None:
+        """Draw with other properties, where they are others."""
+        if any(key not in self.props or self.props[key] != told[key] for key in told):
+            self.props.update(told)
+            self.update()
+
+
+class RoomView(Scripted, component="room_view.js"):
     """The room in three dimensions; a surface is picked by a click."""
 
-    def __init__(self, on_pick: Callable[[int], Any]) -> None:
-        super().__init__()
-        self._props["selected"] = -1
-        self.on("pick", lambda event: on_pick(int(event.args)))
 
-    def show(self, room: Mapping[str, Any]) -> None:
-        """Draw another room."""
-        keys = ("vertices", "faces", "edges", "surfaces", "materials", "sources", "receivers")
-        own = {key: room[key] for key in keys}
-        if own != self._props.get("room"):
-            self._props["room"] = own
-            self.update()
-
-    def point_at(self, selected: int, mark: Sequence[float] | None) -> None:
-        """Make one surface, or one place in m, stand out."""
-        self._props["selected"], self._props["mark"] = selected, mark
-        self.update()
-
-
-class PlanView(Element, component="plan_view.js"):
+class PlanView(Scripted, component="plan_view.js"):
     """The room from above; sources and receivers are dragged."""
 
-    def __init__(self, on_dropped: Callable[[str, str, float, float], Awaitable[None]]) -> None:
-        super().__init__()
-        self._props["plan"] = {"edges": [], "points": [], "walls": []}
 
-        async def dropped(event: events.GenericEventArguments) -> None:
-            x, y = event.args["at"]
-            await on_dropped(event.args["kind"], event.args["name"], float(x), float(y))
-
-        self.on("dropped", dropped)
-
-    def show(
-        self,
-        edges: Sequence[Sequence[float]],
-        points: Sequence[Mapping[str, Any]],
-        walls: Sequence[Sequence[Any]],
-    ) -> None:
-        """Draw edges x, y to x, y in m, points by kind, name and position, and names of walls."""
-        self._props["plan"] = {"edges": list(edges), "points": list(points), "walls": list(walls)}
-        self.update()
-
-
-class FileDrop(Element, component="file_drop.js"):
-    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``.
-
-    With words in `pasted` also a text can be pasted, and is sent as the file ``pasted.csv``.
-    """
-
-    def __init__(
-        self,
-        label: str,
-        place: str,
-        suffixes: Iterable[str],
-        on_sent: Callable[[list[str]], Any],
-        pasted: str = "",
-    ) -> None:
-        super().__init__()
-        self._props["label"], self._props["place"] = label, place
-        self._props["pasted"] = pasted
-        self._props["accept"] = ",".join(suffixes)
-        self._props["multiple"] = place == "recordings"
-
-        async def sent(event: events.GenericEventArguments) -> None:
-            taken = [str(name) for name in event.args["taken"]]
-            if taken:
-                await on_sent(taken)
-
-        self.on("sent", sent)
-
-
-class Recorder(Element, component="recorder.js"):
+class Recorder(Scripted, component="recorder.js"):
     """Plays sweeps and records them; what was recorded is sent to ``/upload/measured``."""
 
-    def __init__(self, on_measured: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
-        super().__init__()
-        self._props["asked"] = {}
 
-        async def measured(event: events.GenericEventArguments) -> None:
-            await on_measured(dict(event.args))
-
-        self.on("measured", measured)
-
-    def ask(self, asked: Mapping[str, Any]) -> None:
-        """Say what is measured: source, receiver, seconds, silence_s, repetitions, again."""
-        if asked != self._props["asked"]:
-            self._props["asked"] = dict(asked)
-            self.update()
-
-
-class BandSlider(Element, component="band_slider.js"):
+class BandSlider(Scripted, component="band_slider.js"):
     """A slider from 0.01 to 0.99."""
 
-    def __init__(
-        self, word: str, label: str, start: float, on_moved: Callable[[float], Awaitable[None]]
-    ) -> None:
-        super().__init__()
-        self._props["word"], self._props["label"], self._props["start"] = word, label, start
 
-        async def moved(event: events.GenericEventArguments) -> None:
-            await on_moved(float(event.args))
+class FileDrop(Scripted, component="file_drop.js"):
+    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
 
-        self.on("moved", moved, throttle=0.05)
+
+def file_drop(
+    label: str,
+    place: str,
+    suffixes: Iterable[str],
+    on_sent: Callable[[list[str]], Any],
+    pasted: str = "",
+) -> None:
+    """Draw a place for files; with words in `pasted` also for a text, sent as ``pasted.csv``."""
+
+    async def sent(said: Mapping[str, Any]) -> None:
+        if said["taken"]:
+            await on_sent([str(name) for name in said["taken"]])
+
+    several, accept = place == "recordings", ",".join(suffixes)
+    own: dict[str, Any] = {"label": label, "place": place, "accept": accept, "pasted": pasted}
+    FileDrop("sent", sent, multiple=several, **own)
+
+
+def field(
+    table: dict[str, Any],
+    key: str,
+    label: str,
+    options: Mapping[Any, str] | Sequence[str] | None = None,
+    *,
+    style: str = "",
+    spoken: str = "",
+    then: Then = lambda: None,
+    **more: Any,
+) -> Any:
+    """Draw a field for a key of a table: a choice, a truth value, a text, or else a number."""
+
+    def changed(event: Any) -> Any:
+        table[key] = event.value
+        return then()
+
+    value = table.get(key)
+    made: Any
+    if isinstance(value, bool):
+        made = ui.checkbox(label, value=value, on_change=changed)
+    else:
+        more |= {"label": label, "value": value, "on_change": changed}
+        if options is not None:
+            options = dict(options) if isinstance(options, Mapping) else list(options)
+            made = ui.select(options, multiple=isinstance(value, list), **more)
+        else:
+            made = (ui.input if isinstance(value, str) else ui.number)(**more)
+        made.props("outlined dense").style(style)
+    if spoken:
+        made.props["aria-label"] = spoken
+    return made
+
+
+def on_entered(made: Element, then: Then) -> None:
+    """Do something when a field is left, or Enter is pressed in it."""
+    for event in ("blur", "keydown.enter"):
+        made.on(event, then)
+
+
+def quiet_button(text: str, on_click: Then, spoken: str = "") -> ui.button:
+    """Show a button that does not stand out."""
+    made = ui.button(text, on_click=on_click).props("no-caps outline color=quiet")
+    if spoken:
+        made.props["aria-label"] = spoken
+    return made
 
 
 def file_address(file: Path) -> str:
@@ -173,14 +179,10 @@ def heading(text: str, level: int = 2) -> None:
     markup(f"<h{level}>{escape(text)}</h{level}>")
 
 
-def finding_html(finding: Mapping[str, Any]) -> str:
+def finding_html(severity: str, sentence: str) -> str:
     """Return a finding as HTML; its severity is a word, not a colour alone."""
-    severity = str(finding["severity"])
     word = _WORDS.get(severity, severity)
-    return (
-        f'<div class="finding {escape(severity)}"><b>{escape(word)}</b>'
-        f"{escape(str(finding['sentence']))}</div>"
-    )
+    return f'<div class="finding {escape(severity)}"><b>{escape(word)}</b>{escape(sentence)}</div>'
 
 
 def findings(found: Iterable[Mapping[str, Any]]) -> None:
@@ -188,42 +190,28 @@ def findings(found: Iterable[Mapping[str, Any]]) -> None:
     order = list(_WORDS)
     kinds: dict[str, list[str]] = {}
     for finding in sorted(found, key=lambda f: order.index(f["severity"])):
-        kinds.setdefault(str(finding.get("code", finding["sentence"])), []).append(
-            finding_html(finding)
-        )
-    parts = []
+        kind, text = str(finding.get("code", finding["sentence"])), str(finding["sentence"])
+        kinds.setdefault(kind, []).append(finding_html(str(finding["severity"]), text))
     for own in kinds.values():
         shown = 1 if len(own) > 2 else len(own)
-        parts += own[:shown]
+        markup("".join(own[:shown]))
         if own[shown:]:
             more = f"and {len(own) - shown} more of this kind"
-            parts.append(f"<details><summary>{more}</summary>{''.join(own[shown:])}</details>")
-    if parts:
-        markup("".join(parts))
+            markup(f"<details><summary>{more}</summary>{''.join(own[shown:])}</details>")
 
 
-def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table whose cells are HTML already; the first of a row is its heading."""
-    rows = list(rows)
-    texts = [any(row[i].startswith("<div") for row in rows) for i in range(1, len(heads))]
-    head = "".join(
-        f'<th scope="col"{" class=text" if text else ""}>{escape(h)}</th>'
-        for h, text in zip(heads, (False, *texts), strict=True)
-    )
-    body = "".join(
-        f'<tr><th scope="row">{row[0]}</th>'
-        + "".join(
-            f'<td class="text">{cell}</td>' if text else f"<td>{cell}</td>"
-            for cell, text in zip(row[1:], texts, strict=True)
-        )
-        + "</tr>"
-        for row in rows
-    )
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
-        f'<table class="data"><caption><span>{escape(caption)}</span></caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+def show_table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Value]]) -> None:
+    """Show a table that scrolls by itself where it is wider than the page."""
+    table = html_of(Table(caption, heads, list(rows), kind="data"))
+    region = f'role="region" aria-label="{escape(caption)}"'
+    markup(f'<div class="scroll" tabindex="0" {region}>{table}</div>')
+
+
+def with_interval(value: float | None, low: float | None, high: float | None) -> Cell:
+    """Return a number with its interval below it."""
+    if value is None:
+        return Cell("-")
+    return Cell(f"{value:.2f}", () if low is None or high is None else (f"{low:.2f}-{high:.2f}",))
 
 
 @contextlib.contextmanager
@@ -244,6 +232,72 @@ def saying_errors(page: Element) -> Iterator[None]:
             )
 
 
-def quiet_button(text: str, on_click: Callable[[], Any]) -> ui.button:
-    """Show a button that does not stand out."""
-    return ui.button(text, on_click=on_click).props("no-caps outline color=quiet")
+class Advice:
+    """The remedies of the findings of a tab; nothing is written before it was shown."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file = project.campaign_file(folder)
+        self.place = ui.element("section").props('aria-label="Remedies"').style("width: 100%")
+        self.dialog = ui.dialog().props('aria-label="What is written"')
+
+    def show(self, advised: Sequence[Mapping[str, Any]]) -> None:
+        """Draw a button for each code of a finding, with a choice where there is one."""
+        can_undo = edits.can_undo(self.file)
+        if not emptied(self.place, (advised, can_undo)) or not (advised or can_undo):
+            return
+        with self.place, ui.element("div").classes("panel remedies"):
+            heading("What the findings advise")
+            for entry in advised:
+                self.show_entry(entry)
+            if can_undo:
+                with ui.element("div").classes("bar"):
+                    quiet_button("Undo the last remedy", self.undo)
+
+    def show_entry(self, entry: Mapping[str, Any]) -> None:
+        """Draw what the findings of one code advise."""
+        name, options = str(entry["code"]).replace("-", " "), list(entry["options"])
+        text = f"{name[:1].upper()}{name[1:]}" + (f", {entry['n']} times" if entry["n"] > 1 else "")
+        markup(finding_html(entry["severity"], text))
+        chosen: dict[str, Any] = {"number": 0}
+        with ui.element("div").classes("bar"):
+            if len(options) == 1:
+                quiet_button(f"Set {options[0]['words']}", partial(self.ask, options[0]))
+                return
+            words = dict(enumerate(option["words"] for option in options))
+            wide = "flex: 1 1 16rem; min-width: 0"
+            field(chosen, "number", f"Set, of {name}", words, style=wide)
+            spoken = f"Set this, of {name}"
+            quiet_button("Set this", lambda: self.ask(options[chosen["number"]]), spoken)
+
+    def ask(self, option: Mapping[str, Any]) -> None:
+        """Show the lines that a remedy writes, as they are and as they will be."""
+        with saying_errors(self.place):
+            wanted = edits.preview(
+                self.file,
+                [edits.Edit(tuple(e["table"]), e["key"], e["value"]) for e in option["edits"]],
+            )
+            lines = [
+                f"<dt><code>{escape(table)}</code></dt>"
+                f"<dd>now <code>{escape(now)}</code></dd><dd>then <code>{escape(then)}</code></dd>"
+                for table, now, then in wanted.lines
+            ]
+            self.dialog.clear()
+            with self.dialog, ui.card().classes("preview"):
+                heading("What is written into campaign.toml")
+                markup(f'<dl class="lines">{"".join(lines)}</dl>')
+                with ui.element("div").classes("bar"):
+                    apply = ui.button("Apply", on_click=partial(self.apply, wanted))
+                    apply.props("no-caps autofocus")
+                    quiet_button("Leave it as it is", self.dialog.close)
+            self.dialog.open()
+
+    def apply(self, wanted: edits.Preview) -> None:
+        """Write what was shown; the page sees that the file has changed."""
+        self.dialog.close()
+        with saying_errors(self.place):
+            edits.apply(self.file, wanted)
+
+    def undo(self) -> None:
+        """Take the last remedy back."""
+        with saying_errors(self.place):
+            edits.undo(self.file)

@@ -1,26 +1,39 @@
-"""A project and its work in processes of their own: answers at once, and a queue for the long."""
+"""A project and its work in processes of their own: answers at once, and a queue for the long.
+
+Files come from strangers: one may take memory or time, or end its process, and the page stays. The
+process takes a line of JSON and answers in lines, through a descriptor of their own, so that
+nothing that prints can disturb them.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import json
 import os
+import queue
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, RoomfitError
 
 _LONGEST_ANSWER = 2**27  # bytes of one line
 _GRACE_S = 1.0  # in which a process that is to end may clean up
 READING_MIB, READING_S = 4096, 120.0
 """Address space and time of a worker that reads what somebody has sent."""
+_MOST_LISTED = 50
+_STAGES = {
+    "identify": ((0.0, "reading the files"), (1e-6, "tracing and fitting"), (0.95, "drawing")),
+    "demo": ((0.0, "simulating"),),
+    "treat": ((0.0, "tracing"), (0.8, "searching")),
+    "listen": ((0.0, "tracing"), (0.6, "scaling")),
+}  # by task, from which fraction on, and its name
 
 
 class Worker:
@@ -35,15 +48,17 @@ class Worker:
     async def ask(
         self,
         task: str,
+        folder: Path,
         arguments: dict[str, Any],
         *,
         limit_s: float | None = None,
-        progress: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] = lambda _: None,
     ) -> Any:
-        """Return the answer of a task of `roomfit.app.views.TASKS`."""
+        """Return the answer of a task of `roomfit.app.views` about a project."""
+        request = json.dumps({"task": task, "folder": str(folder), "arguments": arguments})
         async with self._turn:
             try:
-                return await asyncio.wait_for(self._answer(task, arguments, progress), limit_s)
+                return await asyncio.wait_for(self._answer(request, progress), limit_s)
             except TimeoutError:
                 await self.stop()
                 raise InputError(
@@ -56,11 +71,8 @@ class Worker:
                 await self.stop()
                 raise
 
-    async def _answer(
-        self, task: str, arguments: dict[str, Any], progress: Callable[[float], None] | None
-    ) -> Any:
+    async def _answer(self, request: str, progress: Callable[[float], None]) -> Any:
         process = await self.started()
-        request = json.dumps({"task": task, "arguments": arguments})
         try:
             if process.stdin is None or process.stdout is None:
                 raise BrokenPipeError
@@ -68,7 +80,7 @@ class Worker:
             await process.stdin.drain()
             while line := await process.stdout.readline():
                 said = json.loads(line)
-                if "progress" in said and progress is not None:
+                if "progress" in said:
                     progress(said["progress"])
                 if "error" in said:
                     raise InputError(said["error"])
@@ -88,24 +100,27 @@ class Worker:
         """Return the process, a new one where there is none."""
         if self._process is None or self._process.returncode is not None:
             self.starts += 1
+            # no name of this machine's shell or its keys for what reads strangers' files
+            environment = {k: v for k, v in os.environ.items() if "TOKEN" not in k}
+            if threads := os.environ.get("ROOMFIT_THREADS"):
+                environment["NUMBA_NUM_THREADS"] = str(min(int(threads), os.cpu_count() or 1))
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-Pm",  # a folder of the user's that is called as a package is none
-                "roomfit.app.worker",
+                "roomfit.app.jobs",
                 str(self._most_mib),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=_LONGEST_ANSWER,
                 start_new_session=True,
-                # no name of this machine's shell or its keys for what reads strangers' files
-                env={k: v for k, v in os.environ.items() if "TOKEN" not in k} | _threads(),
+                env=environment,
             )
         return self._process
 
     async def initialise(self) -> None:
         """Wait until a process has imported all that its tasks need, or failed to."""
         with contextlib.suppress(InputError):
-            await self.ask("echo", {"text": ""}, limit_s=READING_S)
+            await self.ask("ready", Path(), {}, limit_s=READING_S)
 
     async def stop(self) -> None:
         """End the process and all that it has started, within a second."""
@@ -125,150 +140,46 @@ class Worker:
                 await process.stdin.wait_closed()
 
 
-def _threads() -> dict[str, str]:
-    """Return what lets a process have as many threads as the environment says, if it does."""
-    said = os.environ.get("ROOMFIT_THREADS")
-    return {"NUMBA_NUM_THREADS": str(min(int(said), os.cpu_count() or 1))} if said else {}
-
-
-State = Literal["waiting", "running", "done", "failed", "cancelled"]
-
-
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Job:
     """One piece of long work."""
 
-    number: int
     label: str
     task: str
     arguments: dict[str, Any]
-    state: State = "waiting"
+    state: Literal["waiting", "running", "done", "failed", "cancelled"] = "waiting"
     fraction: float = 0.0
     began_s: float = 0.0
-    ended_s: float = 0.0
     error: str = ""
-    answer: Any = None
-    stages: tuple[tuple[float, str], ...] = ()  # from which fraction on, and its name
 
-    @property
-    def stage(self) -> str:
-        """What is being done."""
-        return next((n for f, n in reversed(self.stages) if self.fraction >= f), "starting")
-
-    @property
-    def seconds(self) -> float:
-        """How long it has been at work."""
-        if self.state == "waiting":
-            return 0.0
-        return (self.ended_s or time.monotonic()) - self.began_s
-
-    @property
-    def remaining_s(self) -> float | None:
-        """How long it will take, as far as it has gone; None while that is not known."""
-        if self.state != "running" or self.fraction < 0.03:
-            return None
-        return self.seconds * (1.0 - self.fraction) / self.fraction
-
-
-@dataclass(slots=True)
-class Jobs:
-    """Long work, one piece at a time, in the order in which it was asked for."""
-
-    listed: list[Job] = field(default_factory=list)
-    _running: asyncio.Task[None] | None = None
-    _ready: Worker | None = None  # for the next piece, its imports done
-    _preparing: asyncio.Task[None] | None = None  # None: nothing is prepared
-    _numbers: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
-
-    def add(
-        self,
-        label: str,
-        task: str,
-        arguments: dict[str, Any],
-        stages: tuple[tuple[float, str], ...] = (),
-    ) -> Job:
-        """Put a task of `roomfit.app.views.TASKS` into the queue, unless it waits there already."""
-        for job in self.listed:
-            if job.state in ("waiting", "running") and (job.task, job.arguments) == (
-                task,
-                arguments,
-            ):
-                return job
-        job = Job(next(self._numbers), label, task, arguments, stages=stages)
-        self.listed.append(job)
-        del self.listed[:-50]
-        self._go_on()
-        return job
-
-    def _go_on(self) -> None:
-        if self._running is None or self._running.done():
-            waiting = next((j for j in self.listed if j.state == "waiting"), None)
-            if waiting is not None:
-                self._running = asyncio.create_task(self._carry_out(waiting))
-            elif self._preparing is not None:
-                self.prepare()
-
-    def prepare(self) -> None:
-        """Start the process of the next piece, whose imports take longer than much of the work.
-
-        From now on another is started whenever all work is done.
-        """
-        if self._ready is None:
-            self._ready = Worker()
-            self._preparing = asyncio.create_task(self._ready.initialise())
-
-    async def _carry_out(self, job: Job) -> None:
-        # a process for each: what it took of memory is free again
-        worker, self._ready = self._ready or Worker(), None
-        job.state, job.began_s = "running", time.monotonic()
-
-        def note(fraction: float) -> None:
-            job.fraction = max(job.fraction, fraction)
-
-        try:
-            job.answer = await worker.ask(job.task, job.arguments, progress=note)
-            job.state, job.fraction = "done", 1.0
-        except InputError as error:
-            job.state, job.error = "failed", str(error)
-        except asyncio.CancelledError:
-            job.state = "cancelled"
-        finally:
-            job.ended_s = time.monotonic()
-            await worker.stop()
-            asyncio.get_running_loop().call_soon(self._go_on)
-
-    async def cancel(self, job: Job) -> None:
-        """Take a job out of the queue, or end it within two seconds."""
-        if job.state == "waiting":
-            job.state = "cancelled"
-        elif job.state == "running" and self._running is not None:
-            self._running.cancel()
-            await asyncio.wait([self._running], timeout=5.0)
-
-    async def stop(self) -> None:
-        """End all work."""
-        for job in [j for j in self.listed if j.state == "waiting"]:
-            await self.cancel(job)
-        self._preparing = None
-        for job in [j for j in self.listed if j.state == "running"]:
-            await self.cancel(job)
-        if self._ready is not None:
-            await self._ready.stop()
+    def text(self) -> str:
+        """Return what is done, how far it is and how long it will take, in words."""
+        if self.state != "running":
+            return f"{self.label}: {self.state}"
+        stages = reversed(_STAGES.get(self.task, ()))
+        stage = next((name for start, name in stages if self.fraction >= start), "starting")
+        seconds = time.monotonic() - self.began_s
+        text = f"{self.label}: {stage}, {100 * self.fraction:.0f} %, {seconds:.0f} s"
+        if self.fraction < 0.03:  # nothing to go by yet
+            return text
+        return f"{text}, about {seconds * (1.0 - self.fraction) / self.fraction:.0f} s to go"
 
 
 @dataclass(slots=True)
 class Bench:
-    """One project and the processes that work for it."""
+    """One project, the processes that work for it, and its long work, one piece at a time."""
 
     folder: Path
     reader: Worker = field(default_factory=lambda: Worker(READING_MIB))
-    what_if: Worker = field(default_factory=Worker)
-    jobs: Jobs = field(default_factory=Jobs)
+    what_if: Worker = field(default_factory=Worker)  # has a room ready for changes
+    jobs: list[Job] = field(default_factory=list)
+    _running: asyncio.Task[None] | None = None
+    _next: Worker | None = None  # for the next piece, its imports done
+    _preparing: asyncio.Task[None] | None = None  # None: nothing is prepared
 
     async def ask(self, task: str, **arguments: Any) -> Any:
-        """Return the answer of a task about the folder that takes seconds at most."""
-        own = {"folder": str(self.folder), **arguments}
-        return await self.reader.ask(task, own, limit_s=READING_S)
+        """Return the answer of a task that takes seconds at most."""
+        return await self.reader.ask(task, self.folder, arguments, limit_s=READING_S)
 
     def stamp(self, names: Iterable[str]) -> tuple[int, ...]:
         """Return what changes whenever one of these files or folders does, whoever changes it."""
@@ -278,10 +189,113 @@ class Bench:
     async def start(self) -> None:
         """Start what reads, and then, while somebody looks and types, what the first work needs."""
         await self.reader.initialise()
-        self.jobs.prepare()
+        self._prepare()
+
+    def add(self, label: str, task: str, **arguments: Any) -> Job:
+        """Put a task of `roomfit.app.views` into the queue, unless it waits there already."""
+        for job in self.jobs:
+            at_work = job.state in ("waiting", "running")
+            if at_work and (job.task, job.arguments) == (task, arguments):
+                return job
+        job = Job(label, task, arguments)
+        self.jobs.append(job)
+        del self.jobs[:-_MOST_LISTED]
+        self._go_on()
+        return job
+
+    def _go_on(self) -> None:
+        if self._running is None or self._running.done():
+            waiting = next((j for j in self.jobs if j.state == "waiting"), None)
+            if waiting is not None:
+                self._running = asyncio.create_task(self._carry_out(waiting))
+            elif self._preparing is not None:
+                self._prepare()
+
+    def _prepare(self) -> None:
+        """Start the process of the next piece, whose imports take longer than much of the work."""
+        if self._next is None:
+            self._next = Worker()
+            self._preparing = asyncio.create_task(self._next.initialise())
+
+    async def _carry_out(self, job: Job) -> None:
+        # a process for each: what it took of memory is free again
+        worker, self._next = self._next or Worker(), None
+        job.state, job.began_s = "running", time.monotonic()
+
+        def note(fraction: float) -> None:
+            job.fraction = max(job.fraction, fraction)
+
+        try:
+            await worker.ask(job.task, self.folder, job.arguments, progress=note)
+            job.state = "done"
+        except InputError as error:
+            job.state, job.error = "failed", str(error)
+        except asyncio.CancelledError:
+            job.state = "cancelled"
+        finally:
+            await worker.stop()
+            asyncio.get_running_loop().call_soon(self._go_on)
+
+    async def cancel(self, job: Job) -> None:
+        """Take a job out of the queue, or end it within two seconds; forget one that failed."""
+        if job.state == "running" and self._running is not None:
+            self._running.cancel()
+            await asyncio.wait([self._running], timeout=5.0)
+        elif job.state in ("waiting", "failed"):
+            job.state = "cancelled"
 
     async def stop(self) -> None:
-        """End all processes."""
-        await self.jobs.stop()
-        await self.reader.stop()
-        await self.what_if.stop()
+        """End all work and all processes."""
+        self._preparing = None
+        for state in ("waiting", "running"):
+            for job in [j for j in self.jobs if j.state == state]:
+                await self.cancel(job)
+        for worker in (self._next, self.reader, self.what_if):
+            if worker is not None:
+                await worker.stop()
+
+
+def main() -> None:
+    """Carry out tasks ``{"task", "folder", "arguments"}`` until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    most_bytes = int(sys.argv[1]) * 2**20
+    if most_bytes:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+    requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(requests,), name="requests", daemon=True).start()
+
+    from roomfit.app.views import carry_out  # after the limit, which the import needs not much of
+    from roomfit.base.forks import end_with_parent
+
+    end_with_parent()  # the thread that listens has no turn while compiled code runs
+
+    def send(**content: Any) -> None:
+        answers.write(json.dumps(content, allow_nan=False) + "\n")
+        answers.flush()
+
+    send(ready=True)
+    while True:
+        request = requests.get()
+        try:
+            send(answer=carry_out(lambda part: send(progress=part), **request))
+        except RoomfitError as error:
+            send(error=str(error))
+        except MemoryError:
+            send(error="this needs more memory than it may have")
+        except Exception as error:  # noqa: BLE001 -- the page must hear of it, and goes on
+            sys.excepthook(type(error), error, error.__traceback__)
+            send(error=f"a fault of roomfit: {type(error).__name__}: {error}"[:500])
+
+
+def _listen(requests: queue.SimpleQueue[dict[str, Any]]) -> None:
+    """Take requests; when the page has gone, end at once with all own processes."""
+    for line in sys.stdin:
+        requests.put(json.loads(line))
+    os.killpg(os.getpgid(0), signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,90 +1,167 @@
-"""Measurements: recordings, where sources and receivers stand, and what is wrong with them."""
+"""Measurements: sweeps played here, recordings, positions, and what is wrong with them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
 
 from nicegui import ui
 
-from roomfit.app import project, recordings
+from roomfit.app import project
 from roomfit.app.elements import (
-    FileDrop,
+    Advice,
     PlanView,
-    Questions,
+    Recorder,
+    Tab,
     emptied,
-    finding_html,
+    field,
+    file_drop,
     findings,
     heading,
     markup,
+    on_entered,
     quiet_button,
     saying_errors,
-    table_html,
+    show_table,
 )
 from roomfit.app.jobs import Bench
-from roomfit.app.recordings import Positions
-from roomfit.app.remedies import Advice
+from roomfit.files.draft import Positions
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.files.tables import TABLE_SUFFIXES
 from roomfit.report.wording import hertz
 
-_UNKNOWN = "-"
 _EXAMPLE = "recordings/{source}_{receiver}.wav"
 _HEIGHT_M = 1.2  # of what is dragged before its height is known
+_ASKED: dict[str, Any] = {
+    "source": "S1",
+    "receiver": "R1",
+    "seconds": 6,
+    "silence_s": 3,
+    "repetitions": 3,
+    "again": False,
+}
+_LABELS = {
+    "source": "Source",
+    "receiver": "Receiver",
+    "seconds": "Sweep (s)",
+    "silence_s": "Silence (s)",
+    "repetitions": "Repetitions",
+    "again": "Measure again: replace this pair's response",
+}
 
 
-class MeasurementsTab:
+class MeasureTab(Tab):
+    """Two names, how long, a recorder, and what the last response is good for."""
+
+    name: ClassVar[str] = "Measure"
+    files: ClassVar[tuple[str, ...]] = (project.RECORDINGS,)
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.asked = dict(_ASKED)
+        with self.place:
+            with ui.element("div").classes("panel"):
+                heading("Measure an impulse response")
+                ui.label(
+                    "Stand away, keep still, and set the loudspeaker as loud as it plays cleanly. "
+                    "The response is written as recordings/SOURCE_RECEIVER.wav."
+                ).classes("soft")
+                with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+                    for key, label in _LABELS.items():
+                        field(self.asked, key, label, style="width: 7rem", then=self.ask)
+                self.recorder = Recorder("measured", self.show, asked=dict(self.asked))
+            self.quality = ui.element("div").style("margin: 0.75rem 0").props('role="status"')
+            self.measured = ui.label().classes("soft")
+
+    def ask(self) -> None:
+        """Hand on what is typed."""
+        self.recorder.tell(asked=dict(self.asked))
+
+    async def show(self, quality: dict[str, Any]) -> None:
+        """Show how good the response is that was measured just now."""
+        if not emptied(self.quality, quality):
+            return
+        with self.quality, ui.element("div").classes("panel"):
+            heading(f"{quality['source']} to {quality['receiver']}")
+            doubts = [f"Measure again: {reason}." for reason in quality["again"]]
+            doubts += [quality["not_named"]] if "not_named" in quality else []
+            findings({"severity": "warning", "sentence": sentence} for sentence in doubts)
+            if not quality["again"]:
+                ui.label("It suffices from 125 Hz to 4 kHz.")
+            caption = (
+                f"Peak {quality['peak_dbfs']:.1f} dBFS, {quality['n_clipped']} samples clipped, "
+                f"background {quality['noise_dbfs']:.1f} dBFS"
+            )
+            columns = (quality[key] for key in ("bands_hz", "range_db", "suffices_for"))
+            rows = [
+                [hertz(f), f"{range_db:.0f} dB", good or "too short"]
+                for f, range_db, good in zip(*columns, strict=True)
+            ]
+            show_table(caption, ("Octave", "Range of the decay", "Suffices for"), rows)
+
+    async def refresh(self) -> None:
+        """Show which responses there are."""
+        names = [p.name for p in project.listed(self.bench.folder, project.RECORDINGS)]
+        self.measured.set_text(f"In recordings: {', '.join(names) or 'none yet'}")
+
+
+class MeasurementsTab(Tab):
     """A place for recordings, positions as fields and on a plan, and what is known of each file."""
 
     name: ClassVar[str] = "Measurements"
     files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, project.RECORDINGS, project.POSITIONS)
 
     def __init__(self, bench: Bench) -> None:
-        self.bench = bench
+        super().__init__(bench)
+        self.naming: dict[str, Any] = {"template": ""}
         self.template = ""  # of the recordings' names, as the campaign has it
         self.positions: list[dict[str, Any]] = []  # as the campaign has them
         self.fields: dict[tuple[str, str], list[ui.number]] = {}  # x, y, z by kind and name
-        with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
-            text = "Recordings, dropped here or chosen:"
-            FileDrop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.name_recordings)
-            with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                self.typed = ui.input("How they are named (left empty: by their names)")
-                self.typed.props(f"outlined dense placeholder='{_EXAMPLE}'")
-                self.typed.style("flex: 1 1 16rem")
-                quiet_button("Use these names", self.use_template)
-            text = "Table of positions (CSV, XLSX), dropped here or chosen:"
-            words = "or paste positions: name, x, y, z"
-            FileDrop(text, project.POSITIONS, TABLE_SUFFIXES, self.take_positions, words)
-            with ui.expansion("Only decay times are known") as self.decay_times:
-                text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
-                words = "or paste decay times: a line of octaves in Hz, a line for each position"
-                FileDrop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self.take_times, words)
-        self.general = ui.element("div")
-        self.advice = Advice(bench.folder)
-        with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
-            self.table = ui.element("div")
-            with ui.element("div") as self.from_above:
-                self.plan = PlanView(self.drop)
-                text = "Drag what stands elsewhere. What has no place yet comes to "
-                ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
-        self.listed = ui.element("div").classes("panel")
-        self.questions = Questions(self.general)
+        with self.place:
+            with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
+                self.draw_files()
+            self.general = ui.element("div")
+            self.advice = Advice(bench.folder)
+            with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
+                self.table = ui.element("div")
+                with ui.element("div") as self.from_above:
+                    nothing: dict[str, Any] = {"edges": [], "points": [], "walls": []}
+                    self.plan = PlanView("dropped", self.drop, plan=nothing)
+                    text = "Drag what stands elsewhere. What has no place yet comes to "
+                    ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
+            self.listed = ui.element("div").classes("panel")
+
+    def draw_files(self) -> None:
+        """Draw places for recordings and tables, and how recordings are named."""
+        text = "Recordings, dropped here or chosen:"
+        file_drop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.name_recordings)
+        with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+            text = "How they are named (left empty: by their names)"
+            self.typed = field(self.naming, "template", text, style="flex: 1 1 16rem")
+            self.typed.props(f"placeholder='{_EXAMPLE}'")
+            quiet_button("Use these names", self.use_template)
+        text = "Table of positions (CSV, XLSX), dropped here or chosen:"
+        words = "or paste positions: name, x, y, z"
+        file_drop(text, project.POSITIONS, TABLE_SUFFIXES, self.take_positions, words)
+        with ui.expansion("Only decay times are known") as self.decay_times:
+            text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
+            words = "or paste decay times: a line of octaves in Hz, a line for each position"
+            file_drop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self.take_times, words)
 
     async def name_recordings(self, _: object = None) -> None:
         """Name recordings that were sent just now."""
-        await self.write(recordings.name_recordings)
+        await self.write(project.name_recordings)
 
     async def use_template(self) -> None:
         """Name recordings by what is typed."""
-        template = self.typed.value.strip()
-        await self.write(lambda folder, known, _: recordings.set_template(folder, template, known))
+        template = self.naming["template"].strip()
+        await self.write(lambda folder, known, _: project.set_template(folder, template, known))
 
     async def take_positions(self, names: list[str]) -> None:
         """Put what the table names where it says."""
-        await self.write(recordings.name_recordings, names[-1])
+        await self.write(project.name_recordings, names[-1])
 
     async def write(
         self, change: Callable[[Path, Positions, Positions], None], table: str = ""
@@ -102,35 +179,33 @@ class MeasurementsTab:
             await self.bench.ask("reverberation")
             await self.refresh()
 
-    async def drop(self, kind: str, name: str, x: float, y: float) -> None:
+    async def drop(self, said: Mapping[str, Any]) -> None:
         """Put a source or a receiver where it was dragged to; its height stays."""
         with saying_errors(self.general):
-            before = self._position(kind, name)["position_m"]
-            z = _HEIGHT_M if before is None else before[2]
-            project.set_position(self.bench.folder, kind, name, (x, y, z))
+            before = self.position(said["kind"], said["name"])["position_m"]
+            place_m = (*map(float, said["at"]), _HEIGHT_M if before is None else before[2])
+            project.set_position(self.bench.folder, said["kind"], said["name"], place_m)
             await self.refresh()
 
     async def type_position(self, kind: str, name: str) -> None:
         """Put a source or a receiver where its three fields say, once all are filled."""
-        values = [field.value for field in self.fields[kind, name]]
-        if any(value is None for value in values):
-            return
-        point = self._position(kind, name)
-        if point["position_m"] is not None and list(map(float, point["position_m"])) == values:
+        values = [one.value for one in self.fields[kind, name]]
+        point = self.position(kind, name)
+        if None in values or point["position_m"] == values:
             return
         with saying_errors(self.general):
             project.set_position(self.bench.folder, kind, name, values)
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await self.refresh()
 
-    def _position(self, kind: str, name: str) -> dict[str, Any]:
+    def position(self, kind: str, name: str) -> dict[str, Any]:
+        """Return what the campaign has of a source or a receiver."""
         return next(p for p in self.positions if (p["kind"], p["name"]) == (kind, name))
 
     async def refresh(self) -> None:
         """Show positions, recordings, and what the check says of them."""
-        is_current = self.questions.put()
-        view = await self.bench.ask("recordings_view")
-        if not is_current():
+        view = await self.newest(self.bench.ask("recordings_view"))
+        if view is None:
             return
         if emptied(self.general, view["findings"]):
             with self.general:
@@ -145,20 +220,25 @@ class MeasurementsTab:
         self.decay_times.props["caption"] = text
         self.show_positions(view["positions"])
         self.from_above.set_visibility(bool(view["plan"] and self.positions))
-        self.plan.show(view["plan"], self.positions, view["walls"])
-        if not emptied(self.listed, (view["bands_hz"], view["rows"])):
-            return
-        with self.listed:
-            heading("Recordings")
-            if not view["rows"]:
-                ui.label("None yet.").classes("soft")
-            else:
-                markup(recordings_html(view))
+        points = [dict(point) for point in self.positions]  # what is typed changes them
+        self.plan.tell(plan={"edges": view["plan"], "points": points, "walls": view["walls"]})
+        if emptied(self.listed, (view["table"], view["rows"])):
+            with self.listed:
+                heading("Recordings")
+                rows = [
+                    [row[key] for key in ("file", "source", "receiver")] for row in view["rows"]
+                ]
+                if view["table"]:
+                    markup(f'<div class="scroll" tabindex="0">{view["table"]}</div>')
+                elif rows:
+                    show_table("By name", ("Recording", "Source", "Receiver"), rows)
+                else:
+                    ui.label("None yet.").classes("soft")
 
     def show_positions(self, positions: Sequence[dict[str, Any]]) -> None:
         """Draw the fields; while the names stay, only those of what has moved are written to."""
         stored = {(p["kind"], p["name"]): p["position_m"] for p in self.positions}
-        typed = {key: [field.value for field in row] for key, row in self.fields.items()}
+        typed = {key: [one.value for one in row] for key, row in self.fields.items()}
         self.positions = list(positions)
         named = [(p["kind"], p["name"]) for p in positions]
         if named != list(self.fields) or not named:
@@ -166,8 +246,8 @@ class MeasurementsTab:
         for key, point in zip(named, positions, strict=True):
             place = point["position_m"]
             values = typed.get(key, [None] * 3) if place == stored.get(key) else place
-            for field, value in zip(self.fields[key], values or [None] * 3, strict=True):
-                field.set_value(value)
+            for one, value in zip(self.fields[key], values or [None] * 3, strict=True):
+                one.set_value(value)
 
     def draw_fields(self, named: Sequence[tuple[str, str]]) -> None:
         """Draw three fields for each source and receiver, empty ones."""
@@ -180,47 +260,8 @@ class MeasurementsTab:
             with ui.element("div").classes("positions"):
                 for kind, name in named:
                     ui.label(f"{kind[:-1]} {name}")
-                    self.fields[kind, name] = [self._field(kind, name, word) for word in "xyz"]
-
-    def _field(self, kind: str, name: str, word: str) -> ui.number:
-        field = ui.number(word, step=0.01, format="%.3f").props("outlined dense")
-        field.props["aria-label"] = f"{name} {word} in m"
-        for event in ("blur", "keydown.enter"):
-            field.on(event, partial(self.type_position, kind, name))
-        return field
-
-
-def recordings_html(view: Mapping[str, Any]) -> str:
-    """Return what is known of each recording as a table, with its findings beside it."""
-    bands = [hertz(f) for f in view["bands_hz"]]
-    heads = ["Recording", "Source", "Receiver", "Onset (by geometry), ms"]
-    heads += [*bands, *(["Findings"] if bands else [])]
-    rows = []
-    for row in view["rows"]:
-        cells = [escape(row["file"]), escape(row["source"]), escape(row["receiver"])]
-        if "range_db" not in row:
-            rows.append(
-                [*cells, _UNKNOWN, *[_UNKNOWN for _ in bands], *(["<div></div>"] if bands else [])]
-            )
-            continue
-        cells.append(f"{_number(row['onset_ms'], 2)} ({_number(row['travel_ms'], 2)})")
-        for range_db, noise_db, usable, t20 in zip(
-            row["range_db"], row["noise_db"], row["usable"], row["has_t20"], strict=True
-        ):
-            word = "T20" if t20 else "usable" if usable else "of no use"
-            cells.append(
-                f"{_number(range_db, 0)} / {_number(noise_db, 0)}"
-                f'<div class="{"small" if t20 else "small warning"}">{word}</div>'
-            )
-        notes = "".join(map(finding_html, row["notes"]))
-        rows.append([*cells, f"<div>{notes}</div>"])
-    caption = (
-        "Per band: range of the decay / peak above the noise, in dB; what it is good for"
-        if bands
-        else "By name"
-    )
-    return table_html(caption, heads, rows)
-
-
-def _number(value: float | None, decimals: int) -> str:
-    return _UNKNOWN if value is None else f"{value:.{decimals}f}"
+                    row = self.fields[kind, name] = []
+                    for word in "xyz":
+                        spoken = f"{name} {word} in m"
+                        row.append(field({}, word, word, spoken=spoken, step=0.01, format="%.3f"))
+                        on_entered(row[-1], partial(self.type_position, kind, name))

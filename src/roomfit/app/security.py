@@ -12,38 +12,27 @@ import ipaddress
 import json
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
-from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlencode
 
 Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-BODY_BYTES = 2**20
-"""Of every request but an upload."""
-
+_BODY_BYTES = 2**20  # of every request but an upload
+_LOCAL = ("127.0.0.1", "localhost", "[::1]")
 # NiceGUI evaluates what the server sends, and Vue compiles templates in the browser: script-src
 # cannot do without the word in quotes. Inline scripts carry a nonce, another in every answer.
-POLICY = "; ".join(
-    (
-        "default-src 'none'",
-        "script-src 'self' 'unsafe-eval'",
-        "style-src 'self' 'unsafe-inline'",
-        "img-src 'self' data: blob:",
-        "media-src 'self'",
-        "font-src 'self' data:",
-        "connect-src 'self'",
-        "frame-src 'self'",
-        "frame-ancestors 'self'",
-        "form-action 'none'",
-        "base-uri 'none'",
-    )
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; media-src 'self'; font-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; frame-ancestors 'self'; form-action 'none'; base-uri 'none'"
 )
 _HEADERS = {
-    "content-security-policy": POLICY,
+    "content-security-policy": _POLICY,
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "permissions-policy": "microphone=(self), camera=(), geolocation=()",
@@ -51,116 +40,90 @@ _HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "x-frame-options": "SAMEORIGIN",
 }
+_TOO_LARGE = "larger than what is taken"
 
 
-@dataclass(frozen=True, slots=True)
 class Door:
-    """Who is let in."""
+    """Who is let in: whoever has the token of the address gets the cookie, and then with that."""
 
-    token: str
-    """Of the address; whoever has it gets the cookie."""
-    session: str
-    """Of the cookie."""
-    port: int
-    names: frozenset[str]
-    """Host names of this server without port, lower case."""
-    any_address: bool = False
-    """Any address in numbers is one of this server's: it listens at all of them."""
-    upload_bytes: int = 2**30
+    def __init__(self, host: str, port: int, upload_bytes: int, names: Iterable[str] = ()) -> None:
+        self.token, self.session = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
+        self.cookie = f"roomfit-{port}"  # cookies know no ports: two workbenches would share one
+        self.port, self.upload_bytes = port, upload_bytes
+        # any address in numbers is one of this server's: it listens at all of them
+        self.any_address = host in ("0.0.0.0", "::")
+        known = {*_LOCAL} if self.any_address or host in (*_LOCAL, "::1") else set()
+        if host not in (*_LOCAL, "::1"):
+            known |= {host, *names}
+        self.names = frozenset(name.lower() for name in known)
 
-    @property
-    def cookie(self) -> str:
-        """Cookies know no ports: two workbenches must not take each other's."""
-        return f"roomfit-{self.port}"
+    def is_own_host(self, host: str) -> bool:
+        """Whether a ``Host`` is this server: its name, and its port.
 
-
-def new_door(host: str, port: int, upload_bytes: int, names: Iterable[str] = ()) -> Door:
-    """Return a door with a new token."""
-    is_local = host in ("127.0.0.1", "localhost", "::1")
-    known = {"127.0.0.1", "localhost", "[::1]"} if is_local else {host, *names}
-    every = host in ("0.0.0.0", "::")
-    local = {"127.0.0.1", "localhost", "[::1]"} if every else set()
-    return Door(
-        secrets.token_urlsafe(32),
-        secrets.token_urlsafe(32),
-        port,
-        frozenset(name.lower() for name in known | local),
-        every,
-        upload_bytes,
-    )
-
-
-def is_own_host(door: Door, host: str) -> bool:
-    """Whether a ``Host`` is this server: its name, and its port.
-
-    Starlette's ``TrustedHostMiddleware`` looks at no port, at the first of two hosts alone, and
-    knows names only, not every address in numbers of a server that listens at all of them.
-    """
-    name, mark, port = host.rpartition(":")
-    if not mark or port != str(door.port):
-        return False
-    if name.lower() in door.names:
+        Starlette's ``TrustedHostMiddleware`` looks at no port, at the first of two hosts alone, and
+        knows names only, not every address in numbers of a server that listens at all of them.
+        """
+        name, mark, port = host.rpartition(":")
+        if not mark or port != str(self.port):
+            return False
+        if name.lower() in self.names or not self.any_address:
+            return name.lower() in self.names
+        try:  # an address in numbers cannot be rebound
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return False
         return True
-    if not door.any_address:
+
+    def is_own_origin(self, origin: str) -> bool:
+        """Whether an ``Origin`` is a page of this server; "null" is none."""
+        scheme, _, host = origin.partition("://")
+        return scheme == "http" and self.is_own_host(host)
+
+    def refusal(self, scope: Scope) -> tuple[int, str] | None:
+        """Return status and reason with which a request is refused, None where it is let in."""
+        hosts = _values(scope, b"host")
+        if len(hosts) != 1 or not self.is_own_host(hosts[0]):
+            return 400, "this server has another name"
+        if not all(map(self.is_own_origin, _values(scope, b"origin"))):
+            return 403, "a page of another origin has no business here"
+        if not self._has_cookie(scope):
+            return 403, "open the address that `roomfit app` has printed: it holds the key"
+        length = _values(scope, b"content-length")
+        if any(not n.isascii() or not n.isdigit() or len(n) > 18 for n in length):
+            return 400, "the length of the body is no number"
+        if any(int(n) > self.limit_bytes(scope) for n in length):
+            return 413, _TOO_LARGE
+        return None
+
+    def limit_bytes(self, scope: Scope) -> int:
+        """Return how long a body may be."""
+        return self.upload_bytes if str(scope["path"]).startswith("/upload/") else _BODY_BYTES
+
+    def _has_cookie(self, scope: Scope) -> bool:
+        for text in _values(scope, b"cookie"):
+            try:
+                own = SimpleCookie(text).get(self.cookie)
+            except CookieError:
+                continue
+            if own is not None and _same(own.value, self.session):
+                return True
         return False
-    try:  # an address in numbers cannot be rebound
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return False
-    return True
 
-
-def is_own_origin(door: Door, origin: str) -> bool:
-    """Whether an ``Origin`` is a page of this server; "null" is none."""
-    scheme, _, host = origin.partition("://")
-    return scheme == "http" and is_own_host(door, host)
-
-
-def refusal(door: Door, scope: Scope) -> tuple[int, str] | None:
-    """Return status and reason with which a request is refused, None where it is let in."""
-    hosts = _values(scope, b"host")
-    if len(hosts) != 1 or not is_own_host(door, hosts[0]):
-        return 400, "this server has another name"
-    if any(not is_own_origin(door, origin) for origin in _values(scope, b"origin")):
-        return 403, "a page of another origin has no business here"
-    if not _has_cookie(door, scope):
-        return 403, "open the address that `roomfit app` has printed: it holds the key"
-    length = _values(scope, b"content-length")
-    if any(not n.isascii() or not n.isdigit() or len(n) > 18 for n in length):
-        return 400, "the length of the body is no number"
-    if any(int(n) > _limit_bytes(door, scope) for n in length):
-        return 413, "larger than what is taken"
-    return None
-
-
-def _limit_bytes(door: Door, scope: Scope) -> int:
-    return door.upload_bytes if str(scope["path"]).startswith("/upload/") else BODY_BYTES
+    def opens(self, scope: Scope) -> bool:
+        """Whether a request is a GET of the first page with the token, by nobody's script."""
+        if scope["type"] != "http" or scope["path"] != "/" or scope["method"] != "GET":
+            return False
+        tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        is_own = all(map(self.is_own_origin, _values(scope, b"origin")))
+        return is_own and len(tokens) == 1 and _same(tokens[0], self.token)
 
 
 def _values(scope: Scope, name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
-def _has_cookie(door: Door, scope: Scope) -> bool:
-    for text in _values(scope, b"cookie"):
-        try:
-            own = SimpleCookie(text).get(door.cookie)
-        except CookieError:
-            continue
-        if own is not None and _same(own.value, door.session):
-            return True
-    return False
-
-
 def _same(found: str, wanted: str) -> bool:
     return secrets.compare_digest(found.encode(), wanted.encode())
-
-
-def _with_key(door: Door, scope: Scope) -> bool:
-    if scope["type"] != "http" or scope["path"] != "/" or scope["method"] != "GET":
-        return False
-    tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-    return len(tokens) == 1 and _same(tokens[0], door.token)
 
 
 class Guard:
@@ -174,18 +137,21 @@ class Guard:
         """Pass a request on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             return await self.app(scope, receive, send)
-        refused = refusal(self.door, scope)
-        if refused is not None and refused[0] == 403 and _with_key(self.door, scope):
-            origins = _values(scope, b"origin")
-            if all(is_own_origin(self.door, origin) for origin in origins):
-                return await self._give_cookie(scope, send)
+        refused = self.door.refusal(scope)
+        if refused is not None and refused[0] == 403 and self.door.opens(scope):
+            return await self._give_cookie(scope, send)
         if refused is not None:
             return await _refuse(scope, send, *refused)
         if scope["type"] == "websocket":
             return await self.app(scope, receive, send)
         # nothing is compressed: the page is to be read here, and the way is short
         plain = [(k, v) for k, v in scope["headers"] if k != b"accept-encoding"]
-        await self._counted({**scope, "headers": plain}, receive, send)
+        exchange = _Exchange(self.door.limit_bytes(scope), receive, send)
+        try:
+            await self.app({**scope, "headers": plain}, exchange.receive, exchange.send)
+        except Exception:
+            if not exchange.is_over:  # else it is the consequence
+                raise
         return None
 
     async def _give_cookie(self, scope: Scope, send: Send) -> None:
@@ -195,59 +161,54 @@ class Guard:
         headers = {"location": "/" + (f"?{rest}" if rest else ""), "set-cookie": cookie}
         await _answer(send, 303, b"", headers)
 
-    async def _counted(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, its body counted, for one in chunks declares no length."""
-        most, taken, started, over = _limit_bytes(self.door, scope), 0, False, False
 
-        async def counted() -> MutableMapping[str, Any]:
-            nonlocal taken, over
-            message = await receive()
-            taken += len(message.get("body", b""))
-            if taken <= most:
-                return message
-            if not over and not started:
-                await _answer(send, 413, b"larger than what is taken\n", {"connection": "close"})
-            over = True
-            return {"type": "http.disconnect"}
+class _Exchange:
+    """A request whose body is counted, for one in chunks declares no length, and its answer."""
 
-        page: list[bytes] = []
-        waiting: list[MutableMapping[str, Any]] = []
+    def __init__(self, most_bytes: int, receive: Receive, send: Send) -> None:
+        self._left_bytes, self._receive, self._send = most_bytes, receive, send
+        self.is_over = self._has_started = False
+        self._page: list[bytes] = []
+        self._start: Message | None = None  # of a page, which waits for its body
 
-        async def sealed(message: MutableMapping[str, Any]) -> None:
-            nonlocal started
-            if over:
+    async def receive(self) -> Message:
+        message = await self._receive()
+        self._left_bytes -= len(message.get("body", b""))
+        if self._left_bytes >= 0:
+            return message
+        if not self.is_over and not self._has_started:
+            end = {"connection": "close"}
+            await _answer(self._send, 413, f"{_TOO_LARGE}\n".encode(), end)
+        self.is_over = True
+        return {"type": "http.disconnect"}
+
+    async def send(self, message: Message) -> None:
+        """Send an answer, sealed by headers; a page as a whole, with a nonce in its scripts."""
+        if self.is_over:
+            return
+        if message["type"] == "http.response.start":
+            self._has_started = True
+            own = {k.decode(): v.decode("latin-1") for k, v in message["headers"]}
+            # a file may be more strictly sealed than the page
+            seals = {k: own.get(k, v) for k, v in _HEADERS.items()}
+            if "sandbox" in seals["content-security-policy"]:
+                del seals["cross-origin-opener-policy"]  # browsers show only one of the two
+            named = [(k, v) for k, v in message["headers"] if k.decode() not in _HEADERS]
+            message["headers"] = [*named, *_encoded(seals)]
+            if own.get("x-nicegui-content") == "page":
+                self._start = message
                 return
-            if message["type"] == "http.response.start":
-                started = True
-                named = [(k, v) for k, v in message["headers"] if k.decode() not in _HEADERS]
-                own = {k.decode(): v.decode("latin-1") for k, v in message["headers"]}
-                # a file may be more strictly sealed than the page
-                sealing = {k: own.get(k, v) for k, v in _HEADERS.items()}
-                if "sandbox" in sealing["content-security-policy"]:
-                    del sealing["cross-origin-opener-policy"]  # browsers show only one of the two
-                message["headers"] = [*named, *_encoded(sealing)]
-                if own.get("x-nicegui-content") == "page":
-                    waiting.append(message)
-                    return
-            elif waiting:
-                page.append(message.get("body", b""))
-                if message.get("more_body", False):
-                    return
-                start, body = with_nonce(waiting.pop(), b"".join(page))
-                await send(start)
-                message = {"type": "http.response.body", "body": body}
-            await send(message)
-
-        try:
-            await self.app(scope, counted, sealed)
-        except Exception:
-            if not over:  # else it is the consequence
-                raise
+        elif self._start is not None:
+            self._page.append(message.get("body", b""))
+            if message.get("more_body", False):
+                return
+            start, body = with_nonce(self._start, b"".join(self._page))
+            await self._send(start)
+            message = {"type": "http.response.body", "body": body}
+        await self._send(message)
 
 
-def with_nonce(
-    start: MutableMapping[str, Any], body: bytes
-) -> tuple[MutableMapping[str, Any], bytes]:
+def with_nonce(start: Message, body: bytes) -> tuple[Message, bytes]:
     """Return a page whose scripts carry a nonce that its policy names.
 
     What others have written comes into the page only with its angle brackets escaped
@@ -266,14 +227,13 @@ async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
     if scope["type"] == "http":
         # a stranger's body is not waited for; the user's browser sends all of it before it reads
         end = {} if status == 413 else {"connection": "close"}
-        return await _answer(send, status, f"{why}\n".encode(), end)
-    if "websocket.http.response" not in scope.get("extensions", {}):
+        await _answer(send, status, f"{why}\n".encode(), end)
+    elif "websocket.http.response" in scope.get("extensions", {}):
+        kind = "websocket.http.response"
+        await send({"type": f"{kind}.start", "status": status, "headers": []})
+        await send({"type": f"{kind}.body", "body": json.dumps(why).encode()})
+    else:
         await send({"type": "websocket.close", "code": 1008, "reason": why})
-        return None
-    kind = "websocket.http.response"
-    await send({"type": f"{kind}.start", "status": status, "headers": []})
-    await send({"type": f"{kind}.body", "body": json.dumps(why).encode()})
-    return None
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: dict[str, str]) -> None:

@@ -8,7 +8,7 @@ import secrets
 import shutil
 import socket
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +24,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from roomfit.app import project
 from roomfit.app.jobs import Bench
 from roomfit.app.page import build_page
-from roomfit.app.security import Door, Guard, new_door
+from roomfit.app.security import Door, Guard
 from roomfit.base.door import limit
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.files.responses.sweep import (
@@ -51,17 +51,33 @@ def application(bench: Bench, door: Door) -> Guard:
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, lifespan=living)
 
+    @app.exception_handler(RoomfitError)
+    async def refused(_: Request, error: Exception) -> Response:
+        return PlainTextResponse(str(error), 400)
+
+    @app.exception_handler(ClientDisconnect)  # or more than the limit, as the guard has answered
+    async def ended(_: Request, __: Exception) -> Response:
+        return PlainTextResponse("not whole", 400)
+
     @app.get("/sweeps")
     async def sweeps(request: Request) -> Response:
-        return await _sweeps(bench, request)
+        """Give what is to be played, as 32-bit floating point numbers."""
+        played = await asyncio.to_thread(excitation, _asked(bench.folder, request)[0])
+        return Response(played.astype("<f4").tobytes(), media_type="application/octet-stream")
 
     @app.put("/upload/measured")
     async def measured(request: Request) -> Response:
-        return await _measure(bench, request)
+        return JSONResponse(await _measure(bench, request))
 
     @app.put("/upload/{kind}/{name}")
     async def upload(kind: str, name: str, request: Request) -> Response:
-        return await _take(bench, kind, name, request)
+        """Take a file: it comes to its place when it is whole and could be read."""
+        place = project.upload_place(bench.folder, kind, name)
+        async with _received(bench.folder, name, request) as file:
+            await bench.ask("look_at_upload", kind=kind, file=f"{file.parent.name}/{name}")
+            place.parent.mkdir(exist_ok=True)
+            file.replace(place)
+        return PlainTextResponse("taken")
 
     @app.get("/files/{path:path}")
     async def download(path: str, save: bool = False) -> Response:
@@ -80,40 +96,18 @@ def application(bench: Bench, door: Door) -> Guard:
     return Guard(app, door)
 
 
-async def _take(bench: Bench, kind: str, name: str, request: Request) -> Response:
-    """Take a file that is sent: it comes to its place when it is whole and could be read."""
-    try:
-        place = project.upload_place(bench.folder, kind, name)
-    except InputError as error:
-        return PlainTextResponse(str(error), 400)
-    with _waiting(bench.folder) as waiting:
-        try:
-            await _receive(request, waiting / name)
-            await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
-            place.parent.mkdir(exist_ok=True)
-            (waiting / name).replace(place)
-        except InputError as error:
-            return PlainTextResponse(str(error), 400)
-        except ClientDisconnect:  # or more than the limit, to which the guard has answered
-            return PlainTextResponse("not whole", 400)
-    return PlainTextResponse("taken")
-
-
-@contextlib.contextmanager
-def _waiting(folder: Path) -> Iterator[Path]:
-    """Give a hidden folder for what is not whole yet."""
+@asynccontextmanager
+async def _received(folder: Path, name: str, request: Request) -> AsyncIterator[Path]:
+    """Give the file that a request brings, in a hidden folder that goes away."""
     waiting = folder / f".roomfit-upload-{secrets.token_hex(8)}"
     waiting.mkdir()
     try:
-        yield waiting
+        with (waiting / name).open("xb") as stream:
+            async for chunk in request.stream():
+                await asyncio.to_thread(stream.write, chunk)
+        yield waiting / name
     finally:
         shutil.rmtree(waiting, ignore_errors=True)
-
-
-async def _receive(request: Request, file: Path) -> None:
-    with file.open("xb") as stream:
-        async for chunk in request.stream():
-            await asyncio.to_thread(stream.write, chunk)
 
 
 def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
@@ -124,45 +118,31 @@ def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
         plan = SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
         source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
     except (KeyError, ValueError, OverflowError) as error:
-        what = "a measurement is four numbers and two names"
+        what, found = "a measurement is four numbers and two names", str(error)[:80]
         needed = "rate_hz, seconds, silence_s, repetitions, source and receiver"
         hint = "reload the page, and start the measurement from it"
-        raise InputError(what, found=str(error)[:80], needed=needed, hint=hint) from None
+        raise InputError(what, found=found, needed=needed, hint=hint) from None
     place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
     check_not_measured(place, again=again)
     return plan, source, receiver
 
 
-async def _sweeps(bench: Bench, request: Request) -> Response:
-    """Give what is to be played, as 32-bit floating point numbers."""
-    try:
-        plan, _, _ = _asked(bench.folder, request)
-    except InputError as error:
-        return PlainTextResponse(str(error), 400)
-    played = await asyncio.to_thread(excitation, plan)
-    return Response(played.astype("<f4").tobytes(), media_type="application/octet-stream")
-
-
-async def _measure(bench: Bench, request: Request) -> Response:
+async def _measure(bench: Bench, request: Request) -> dict[str, object]:
     """Take what a page has recorded; the response comes to the recordings, its quality back."""
+    plan, source, receiver = _asked(bench.folder, request)
+    name = response_name(source, receiver)
+    place = bench.folder / project.RECORDINGS / name
+    async with _received(bench.folder, "recorded", request) as recorded:
+        file = recorded.with_name(name)
+        own = {"file": f"{recorded.parent.name}/{name}", "plan": asdict(plan)}
+        quality: dict[str, object] = await bench.ask("measure", **own)
+        place.parent.mkdir(exist_ok=True)
+        file.replace(place)
     try:
-        plan, source, receiver = _asked(bench.folder, request)
-        name = response_name(source, receiver)
-        place = bench.folder / project.RECORDINGS / name
-        with _waiting(bench.folder) as waiting:
-            await _receive(request, waiting / "recorded")
-            quality = await bench.ask("measure", file=f"{waiting.name}/{name}", plan=asdict(plan))
-            place.parent.mkdir(exist_ok=True)
-            (waiting / name).replace(place)
-        try:
-            project.name_measured(bench.folder, source, receiver)
-        except InputError as error:  # the response is there all the same
-            quality["not_named"] = f"The response is not in the campaign: {error.what}."
-    except RoomfitError as error:
-        return PlainTextResponse(str(error), 400)
-    except ClientDisconnect:
-        return PlainTextResponse("not whole", 400)
-    return JSONResponse(quality)
+        project.name_measured(bench.folder, source, receiver)
+    except InputError as error:  # the response is there all the same
+        quality["not_named"] = f"The response is not in the campaign: {error.what}."
+    return quality
 
 
 def _give(folder: Path, path: str, save: bool) -> Response:
@@ -195,13 +175,10 @@ class _Punctual(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
-        if self.conn.their_state is h11.IDLE:
-            # once a head: a letter now and then buys no time
-            self._late = self._late or self.loop.call_later(
-                limit("request_s"), self.transport.abort
-            )
-        else:
+        if self.conn.their_state is not h11.IDLE:
             self._on_time()
+        elif self._late is None:  # once a head: a letter now and then buys no time
+            self._late = self.loop.call_later(limit("request_s"), self.transport.abort)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._on_time()
@@ -224,14 +201,14 @@ async def serve(
     """Show a project in the browser until somebody interrupts."""
     folder = bench.folder
     if folder.exists() and not folder.is_dir():
-        what = "a project is a folder"
-        needed, hint = "a folder, or a name that is free", "name the folder in which the file lies"
+        what, needed = "a project is a folder", "a folder, or a name that is free"
+        hint = "name the folder in which the file lies"
         raise InputError(what, where=str(folder), found="a file", needed=needed, hint=hint)
     folder.mkdir(parents=True, exist_ok=True)
     listening = _socket(host, port)
     port = int(listening.getsockname()[1])
-    door = new_door(host, port, int(limit("file_bytes")), (socket.gethostname(),))
-    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    door = Door(host, port, int(limit("file_bytes")), (socket.gethostname(),))
+    shown = "127.0.0.1" if door.any_address else host
     address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?token={door.token}"
     config = uvicorn.Config(
         application(bench, door),
@@ -261,12 +238,10 @@ def _socket(host: str, port: int | None) -> socket.socket:
         try:
             own.bind((host, one))
             own.listen(128)  # who comes before the server is up waits
+            return own
         except OSError as error:
             own.close()
             why = error.strerror or str(error)
-            continue
-        return own
-    what = "the address cannot be listened at"
-    needed = "a port that is free, and an address of this machine"
-    hint = "add --port 0, which takes a free one"
-    raise InputError(what, where=f"{host}, port {port}", found=why, needed=needed, hint=hint)
+    what, needed = "the address cannot be listened at", "a free port of an address of this machine"
+    where, hint = f"{host}, port {port}", "add --port 0, which takes a free one"
+    raise InputError(what, where=where, found=why, needed=needed, hint=hint)

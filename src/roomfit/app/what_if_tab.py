@@ -1,66 +1,58 @@
-"""What if: other materials, and what they would do to every pair."""
+"""What if: other materials, what they would do to every pair, and what to hang where."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
 
-from matplotlib.ticker import MaxNLocator
 from nicegui import ui
 
 from roomfit.app import project
+from roomfit.app.charts import LABELS, TIMES, chart_svg
 from roomfit.app.elements import (
     BandSlider,
-    FileDrop,
-    Questions,
+    Tab,
     emptied,
+    field,
     file_address,
+    file_drop,
     findings,
     heading,
     markup,
     quiet_button,
     saying_errors,
-    table_html,
+    show_table,
+    with_interval,
 )
 from roomfit.app.jobs import Bench
-from roomfit.app.treatment_form import TreatmentForm
+from roomfit.app.room_tab import catalogue_words
 from roomfit.base.errors import InputError
+from roomfit.base.table import Value
 from roomfit.files.encoding import written_content
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
-from roomfit.report.wording import count, hertz, short_hertz
+from roomfit.report.wording import count, hertz
 
-_TIMES = "T30_s"  # what decay times alone give
-_LABELS = {
-    _TIMES: "T30 in s",
-    "T20_s": "T20 in s",
-    "EDT_s": "EDT in s",
-    "C80_dB": "C80 in dB",
-    "D50_percent": "D50 in %",
-    "STI": "STI",
-}
-_SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S = 900.0  # a change may need it, too, where the process was started again
-_MOST = {"D50_percent": 100.0, "STI": 1.0}
+_MOST_ROWS = 100
 _NO_STI = "STI takes all octaves from 125 Hz to 8 kHz: choose them in Identify. "
-_SPEECH = "125 Hz to 8 kHz together"
-_SOUND_HEADS = ("Pair", "Before", "After")
-_WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
+_HIDDEN = ("standard", "value", "tolerance")  # of a target: kept and stated, not edited
+_ODDS = {p: f"{100 * p:.0f} %" for p in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)}
+_FIELD = "width: 7.5rem"
+_DOUBTED = "Predict also where the result is seriously doubted"
 
 
-@dataclass(slots=True)
 class Changes:
     """What materials are to become, and what was found of them."""
 
-    bands_hz: Sequence[float] = ()
-    found: Mapping[str, Sequence[float]] = field(default_factory=dict)  # absorption by material
-    # by material a name of the catalogue, or absorption in each band
-    chosen: dict[str, str | list[float]] = field(default_factory=dict)
-    doubted: bool = False  # whether they are predicted also where the result is seriously doubted
+    def __init__(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
+        self.bands_hz, self.found = bands_hz, found  # absorption by material
+        # by material a name of the catalogue, or absorption in each band
+        self.chosen: dict[str, str | list[float]] = {}
 
     def take_result(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
         """Take another result; changes of what it does not have are forgotten."""
@@ -83,8 +75,7 @@ class Changes:
         found = [round(a, 3) for a in self.found[material]]
         if own is None:
             return found
-        entry = next(e for e in catalogue().entries if e.name == own)
-        octaves = entry.absorption_by_hz
+        octaves = next(e for e in catalogue().entries if e.name == own).absorption_by_hz
         return [round(octaves.get(f, a), 3) for f, a in zip(self.bands_hz, found, strict=True)]
 
     def move(self, material: str, band: int, value: float) -> bool:
@@ -104,19 +95,19 @@ class Changes:
         """
         texts = []
         for material, own in self.chosen.items():
-            if isinstance(own, str):
-                texts.append(f"{material}={own}")
-                continue
-            # a band that nobody has touched stays exactly as it was found
-            factors = [
-                1.0 if round(now, 3) == round(was, 3) else now / was
-                for now, was in zip(own, self.found[material], strict=True)
-            ]
-            texts.append(f"{material}={','.join(f'x{f:.6g}' for f in factors)}")
+            become = own
+            if isinstance(own, list):
+                # a band that nobody has touched stays exactly as it was found
+                factors = [
+                    1.0 if round(now, 3) == round(was, 3) else now / was
+                    for now, was in zip(own, self.found[material], strict=True)
+                ]
+                become = ",".join(f"x{f:.6g}" for f in factors)
+            texts.append(f"{material}={become}")
         return texts
 
 
-class WhatIfTab:
+class WhatIfTab(Tab):
     """Changes of materials, and a chart of each room parameter that follows them."""
 
     name: ClassVar[str] = "What if"
@@ -131,36 +122,39 @@ class WhatIfTab:
     )
 
     def __init__(self, bench: Bench) -> None:
-        self.bench = bench
-        self.changes = Changes()
-        self.worker = bench.what_if  # the process that has it ready
+        super().__init__(bench)
+        self.changes = Changes((), {})
+        # also where the result is seriously doubted; to which material the sliders belong, and what
+        # it becomes; what is heard, "" the responses themselves
+        self.asked: dict[str, Any] = {"doubted": False, "material": "", "entry": None, "dry": ""}
+        self.targets: dict[str, Any] = {}  # by parameter, as typed
+        self.worker = bench.what_if  # the process that has the room ready
         self.room: dict[str, Any] = {}  # as it was prepared last
         self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
         self.is_busy = self.is_outdated = False  # evaluating, and what is evaluated is not the last
-        with ui.element("div").classes("bar"):
+        with self.place:
             self.note = ui.label("").classes("soft")
-        text = "Predict also where the result is seriously doubted"
-        self.all_the_same = ui.checkbox(text, on_change=lambda e: self.take_doubted(e.value))
-        self.all_the_same.set_visibility(False)
-        self.both = ui.element("div").style("width: 100%")
-        with self.both:
-            self.controls = Controls(self.changes, self.evaluate, self.draw)
-            with ui.element("div").classes("charts").style("margin: 0.75rem 0"):
-                self.pictures = {name: markup("").classes("panel") for name in _LABELS}
-            self.said = ui.element("div")
-            text = "Every pair in numbers"
-            self.pairs = ui.expansion(text, on_value_change=lambda: self.draw_pairs())
-            with self.pairs.classes("panel"):
-                self.numbers = markup("")
-            self.sounds = Sounds(bench, self.changes)
-        self.treatment = TreatmentForm(bench, lambda: self.changes.doubted)
+            self.all_the_same = field(self.asked, "doubted", _DOUBTED, then=self.take_doubted)
+            self.all_the_same.set_visibility(False)
+            with ui.element("div").style("width: 100%") as self.both:
+                with ui.element("div").classes("panel"):
+                    self.choices = ui.element("div").classes("bar")
+                    self.sliders = ui.element("div")
+                    self.aims = ui.element("div")
+                with ui.element("div").classes("charts").style("margin: 0.75rem 0"):
+                    self.pictures = {name: markup("").classes("panel") for name in LABELS}
+                self.said = ui.element("div")
+                text = "Every pair in numbers"
+                self.pairs = ui.expansion(text, on_value_change=lambda: self.draw_pairs())
+                with self.pairs.classes("panel"):
+                    self.numbers = ui.element("div")
+                self.sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+            self.treatment = TreatmentForm(bench, lambda: bool(self.asked["doubted"]))
         self.both.set_visibility(False)
-        self.questions = Questions(self.both)
 
     async def refresh(self) -> None:
         """Prepare the room for changes, and show what those do that are chosen already."""
         self.predicted = None
-        is_current = self.questions.put()
         # without paths to trace there is nothing that takes long: no process of its own
         self.worker = self.bench.reader
         if project.best_result(self.bench.folder) is not None:
@@ -169,27 +163,21 @@ class WhatIfTab:
         elif project.decay_times(self.bench.folder) is not None:
             text = "The decay times are read."
         else:
-            text = "No answer yet: identify first, or give decay times in Measurements."
-            self.note.set_text(text)
-            self.both.set_visibility(False)
-            self.treatment.place.set_visibility(False)
+            self.refuse("No answer yet: identify first, or give decay times in Measurements.")
             return
         self.note.set_text(text)
-        own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
         try:
-            found = await self.worker.ask("what_if_prepare", own, limit_s=_PREPARE_S)
+            found = await self.newest(self.ask("what_if_prepare"))
         except InputError:
             self.note.set_text("The room could not be prepared.")
             raise
-        if not is_current():
+        if found is None:
             return
         refused = found.get("refused")
-        doubts = refused or found["left_out"] or self.changes.doubted
+        doubts = refused or found["left_out"] or self.asked["doubted"]
         self.all_the_same.set_visibility(bool(doubts))
         if refused:
-            self.note.set_text(refused)
-            self.both.set_visibility(False)
-            self.treatment.place.set_visibility(False)
+            self.refuse(refused)
             return
         self.room = found
         self.changes.take_result(found["bands_hz"], found["absorption"])
@@ -197,21 +185,31 @@ class WhatIfTab:
         self.treatment.place.set_visibility(found["treatment"] is not None)
         if found["treatment"] is not None:
             self.treatment.show(found["treatment"])
-        for of_pairs in (self.pairs, self.sounds.place):
-            of_pairs.set_visibility(_TIMES not in found["mean"])
-        self.sounds.show()
-        self.controls.show([n for n in _LABELS if n in found["mean"]])
+        for of_pairs in (self.pairs, self.sounds):
+            of_pairs.set_visibility(TIMES not in found["mean"])
+        self.draw_sounds()
+        self.draw_controls([n for n in LABELS if n in found["mean"]])
         self.predicted = found
         self.draw()
         if self.changes.chosen:
             await self.evaluate()
 
-    async def take_doubted(self, wanted: bool) -> None:
+    def refuse(self, why: str) -> None:
+        """Say why nothing can be changed."""
+        self.n_asked += 1  # no answer that is under way is shown
+        self.note.set_text(why)
+        self.both.set_visibility(False)
+        self.treatment.place.set_visibility(False)
+
+    async def ask(self, task: str, **own: Any) -> Any:
+        """Return the answer of a task about the room that is ready for changes."""
+        own["doubted"] = self.asked["doubted"]
+        return await self.worker.ask(task, self.bench.folder, own, limit_s=_PREPARE_S)
+
+    async def take_doubted(self) -> None:
         """Predict also where the result is seriously doubted, or there no more."""
-        if wanted != self.changes.doubted:
-            self.changes.doubted = wanted
-            with saying_errors(self.both):
-                await self.refresh()
+        with saying_errors(self.both):
+            await self.refresh()
 
     async def evaluate(self) -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
@@ -222,21 +220,95 @@ class WhatIfTab:
         try:
             with saying_errors(self.both):
                 while self.is_outdated:
-                    self.is_outdated = False
-                    own = {
-                        "folder": str(self.bench.folder),
-                        "changes": self.changes.written(),
-                        "doubted": self.changes.doubted,
-                    }
-                    is_current = self.questions.since()
-                    found = await self.worker.ask("what_if", own, limit_s=_PREPARE_S)
+                    self.is_outdated, number = False, self.n_asked
+                    found = await self.ask("what_if", changes=self.changes.written())
                     if self.both.is_deleted:  # the page was closed meanwhile
                         return
-                    if is_current():  # the room is still the one that was asked about
+                    if number == self.n_asked:  # the room is still the one that was asked about
                         self.predicted = found
                         self.draw()
         finally:
             self.is_busy = False
+
+    # Which material is changed, into what, and the targets that the charts show as lines.
+
+    def draw_controls(self, parameters: Sequence[str]) -> None:
+        """Draw everything for the materials of the changes, unless it is drawn already."""
+        found = self.changes.found
+        if self.asked["material"] not in found:
+            self.asked["material"] = next(iter(found))
+        if not emptied(self.choices, (self.changes.bands_hz, found, parameters)):
+            return
+        with self.choices:
+            wide = "width: 14rem"
+            self.of = field(
+                self.asked, "material", "Material", [*found], style=wide, then=self.draw_sliders
+            )
+            label, wide = "Becomes (search the catalogue)", "flex: 1 1 16rem"
+            self.becomes = field(
+                self.asked, "entry", label, catalogue_words(), style=wide, then=self.choose_entry,
+                with_input=True, clearable=True,
+            )  # fmt: skip
+            quiet_button("Undo all changes", self.reset)
+        if emptied(self.aims, parameters):
+            with self.aims:
+                heading("Targets, as lines in the pictures")
+                with ui.element("div").classes("bar"):
+                    for name in parameters:
+                        field(
+                            self.targets, name, LABELS[name], style="width: 8rem", then=self.draw,
+                            step=0.1,
+                        ).props("clearable")  # fmt: skip
+        self.draw_sliders()
+
+    def draw_sliders(self) -> None:
+        """Bring the sliders to the material that is chosen; what is above them stays."""
+        self.mark_changed()
+        material = self.asked["material"]
+        self.becomes.set_value(self.changes.entry(material))
+        self.sliders.clear()
+        with self.sliders:
+            heading(f"Absorption of {material}")
+            with ui.element("div").classes("sliders"):
+                values = self.changes.spectrum(material)
+                for band, centre_hz in enumerate(self.changes.bands_hz):
+                    word = hertz(centre_hz)
+                    own = {"label": f"Absorption of {material} at {word}", "start": values[band]}
+                    BandSlider("moved", partial(self.slide, band), throttle=0.05, word=word, **own)
+
+    def mark_changed(self) -> None:
+        """Say in the list which materials are changed."""
+        chosen = self.changes.chosen
+        marked = {m: f"{m} (changed)" if m in chosen else m for m in self.changes.found}
+        if self.of.options != marked:
+            self.of.set_options(marked)
+
+    async def choose_entry(self) -> None:
+        """Let the material become an entry of the catalogue; None: what it is."""
+        material, name = self.asked["material"], self.asked["entry"]
+        if name == self.changes.entry(material):
+            return  # said by the page itself, for another material was chosen
+        if name is None:
+            self.changes.chosen.pop(material, None)
+        else:
+            self.changes.chosen[material] = name
+        self.draw_sliders()
+        await self.evaluate()
+
+    async def slide(self, band: int, value: float) -> None:
+        """Give the material another absorption in one band."""
+        if self.changes.move(self.asked["material"], band, float(value)):
+            self.mark_changed()
+            self.becomes.set_value(None)
+            await self.evaluate()
+
+    async def reset(self) -> None:
+        """Take all changes back."""
+        self.changes.chosen.clear()
+        self.draw_sliders()
+        await self.evaluate()
+
+    # What was predicted.
 
     def draw(self) -> None:
         """Draw what was predicted last, with the limits as they are now."""
@@ -248,21 +320,20 @@ class WhatIfTab:
             picture.set_visibility(name in view["mean"])
             if name in view["mean"]:
                 limits = [x for x in self.room["limits"] if x["parameter"] == name]
-                typed = self.controls.targets.get(name)
-                if typed is not None:
-                    limits.append({"value": typed, "bands_hz": bands_hz})
+                if self.targets.get(name) is not None:
+                    limits.append({"value": self.targets[name], "bands_hz": bands_hz})
                 picture.set_content(chart_svg(view, name, bands_hz, limits))
         self.draw_pairs()
-        directions = [{"severity": "info", "sentence": view["directions"]}]
-        if emptied(self.said, (view["findings"], directions)):
+        said = [*view["findings"]]
+        if view["directions"]:
+            said.append({"severity": "info", "sentence": view["directions"]})
+        if emptied(self.said, said):
             with self.said:
-                findings([*view["findings"], *(directions if view["directions"] else ())])
+                findings(said)
         changed = f"{count(len(self.changes.chosen), 'material')} changed. "
-        if _TIMES in view["mean"]:
-            text = (
-                f"From decay times alone, {changed}Line: T30 of the room with its 95 % interval; "
-            )
-            self.note.set_text(f"{text}dashed: as it is now; red: limits.")
+        if TIMES in view["mean"]:
+            text = f"From decay times alone, {changed}Line: T30 of the room with its 95 % interval;"
+            self.note.set_text(f"{text} dashed: as it is now; red: limits.")
             return
         self.note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {changed}"
@@ -273,184 +344,48 @@ class WhatIfTab:
 
     def draw_pairs(self) -> None:
         """Write the table of all pairs, where it is open."""
-        if self.pairs.value and self.predicted is not None:
-            self.numbers.set_content(pairs_html(self.predicted, self.room["bands_hz"]))
+        view, bands_hz = self.predicted, self.room.get("bands_hz", [])
+        if not self.pairs.value or view is None or not emptied(self.numbers, view["pairs"]):
+            return
+        rows: list[list[Value]] = []
+        for pair in view["pairs"][:_MOST_ROWS]:
+            for name in (n for n in LABELS if n in view["mean"]):
+                own = (pair[name][kind] for kind in ("predicted", "lower95", "upper95"))
+                cells: list[Value] = [with_interval(*three) for three in zip(*own, strict=True)]
+                cells += [""] * (len(bands_hz) - len(cells))  # the index is of all bands together
+                rows.append([f"{pair['source']} to {pair['receiver']}", LABELS[name], *cells])
+        heads = ["Pair", "Parameter", *(hertz(f) for f in bands_hz)]
+        with self.numbers:
+            show_table("Where a measurement is expected, 95 of 100 times", heads, rows)
 
+    # What the changes sound like, as responses or by a dry recording.
 
-class Controls:
-    """Which material is changed, into what, and the targets that the charts show as lines."""
-
-    def __init__(
-        self,
-        changes: Changes,
-        on_changed: Callable[[], Awaitable[None]],
-        on_target: Callable[[], None],
-    ) -> None:
-        self.changes = changes
-        self.on_changed, self.on_target = on_changed, on_target
-        self.targets: dict[str, float | None] = {}  # by parameter, as typed
-        self.material = ""  # to which the sliders belong
-        with ui.element("div").classes("panel"):
-            self.choices = ui.element("div").classes("bar")
-            self.sliders = ui.element("div")
-            self.aims = ui.element("div")
-
-    def show(self, parameters: Sequence[str]) -> None:
-        """Draw everything for the materials of the changes, unless it is drawn already."""
-        if self.material not in self.changes.found:
-            self.material = next(iter(self.changes.found))
-        own = (self.changes.bands_hz, self.changes.found, parameters)
-        if emptied(self.choices, own):
-            self.draw_choices()
-            if emptied(self.aims, parameters):
-                self.draw_aims(parameters)
-            self.show_sliders()
-
-    def draw_choices(self) -> None:
-        """Draw the lists of materials and of the catalogue."""
-        entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
-        with self.choices:
-            self.of = (
-                ui.select(
-                    list(self.changes.found),
-                    value=self.material,
-                    label="Material",
-                    on_change=lambda e: self.select(e.value),
-                )
-                .props("outlined dense")
-                .style("width: 14rem")
-            )
-            self.becomes = (
-                ui.select(
-                    entries,
-                    label="Becomes (search the catalogue)",
-                    with_input=True,
-                    clearable=True,
-                    on_change=lambda e: self.choose_entry(e.value),
-                )
-                .props("outlined dense")
-                .style("flex: 1 1 16rem")
-            )
-            quiet_button("Undo all changes", self.reset)
-
-    def draw_aims(self, parameters: Sequence[str]) -> None:
-        """Draw a field for the target of each parameter."""
-        with self.aims:
-            heading("Targets, as lines in the pictures")
-            with ui.element("div").classes("bar"):
-                for name in parameters:
-                    ui.number(
-                        _LABELS[name],
-                        value=self.targets.get(name),
-                        step=0.1,
-                        on_change=lambda e, name=name: self.aim(name, e.value),
-                    ).props("outlined dense clearable").style("width: 8rem")
-
-    def show_sliders(self) -> None:
-        """Bring the sliders to the material that is chosen; what is above them stays."""
-        self.mark_changed()
-        self.becomes.set_value(self.changes.entry(self.material))
-        self.sliders.clear()
-        with self.sliders:
-            heading(f"Absorption of {self.material}")
-            with ui.element("div").classes("sliders"):
-                values = self.changes.spectrum(self.material)
-                for band, centre_hz in enumerate(self.changes.bands_hz):
-                    word = hertz(centre_hz)
-                    label = f"Absorption of {self.material} at {word}"
-                    BandSlider(word, label, values[band], partial(self.slide, band))
-
-    def mark_changed(self) -> None:
-        """Say in the list which materials are changed."""
-        chosen = self.changes.chosen
-        marked = {m: f"{m} (changed)" if m in chosen else m for m in self.changes.found}
-        if self.of.options != marked:
-            self.of.set_options(marked)
-
-    def select(self, material: str) -> None:
-        """Choose the material to which the sliders belong."""
-        self.material = material
-        self.show_sliders()
-
-    def aim(self, parameter: str, value: float | None) -> None:
-        """Set the target of a parameter; None: none."""
-        self.targets[parameter] = value
-        self.on_target()
-
-    async def choose_entry(self, name: str | None) -> None:
-        """Let the material become an entry of the catalogue; None: what it is."""
-        if name == self.changes.entry(self.material):
-            return  # said by the page itself, for another material was chosen
-        if name is None:
-            self.changes.chosen.pop(self.material, None)
-        else:
-            self.changes.chosen[self.material] = name
-        self.show_sliders()
-        await self.on_changed()
-
-    async def slide(self, band: int, value: float) -> None:
-        """Give the material another absorption in one band."""
-        if self.changes.move(self.material, band, value):
-            self.mark_changed()
-            self.becomes.set_value(None)
-            await self.on_changed()
-
-    async def reset(self) -> None:
-        """Take all changes back."""
-        self.changes.chosen.clear()
-        self.show_sliders()
-        await self.on_changed()
-
-
-class Sounds:
-    """What the changes sound like, as responses or by a dry recording."""
-
-    def __init__(self, bench: Bench, changes: Changes) -> None:
-        self.bench = bench
-        self.changes = changes
-        self.dry = ""  # name of the recording; none: the responses themselves
-        self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
-
-    def make(self) -> None:
+    def make_sounds(self) -> None:
         """Put the making of the sounds into the queue."""
-        own = {
-            "folder": str(self.bench.folder),
-            "changes": self.changes.written(),
-            "dry": self.dry,
-            "doubted": self.changes.doubted,
-        }
-        self.bench.jobs.add("Before and after", "listen", own, _SOUNDING)
-
-    def choose_dry(self, name: str | None) -> None:
-        """Choose what is listened to."""
-        self.dry = name or ""
+        own = {key: self.asked[key] for key in ("dry", "doubted")}
+        self.bench.add("Before and after", "listen", changes=self.changes.written(), **own)
 
     async def take_dry(self, names: list[str]) -> None:
         """Choose the last of the recordings that were sent."""
-        self.dry = names[-1]
-        self.show()
+        self.asked["dry"] = names[-1]
+        self.draw_sounds()
 
-    def show(self) -> None:
+    def draw_sounds(self) -> None:
         """Show what can be listened to, unless it is shown already."""
-        folder = self.bench.folder / project.DRY
-        known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+        known = [file.name for file in project.listed(self.bench.folder, project.DRY)]
         made = self.bench.folder / project.LISTENED / "listen.json"
-        if not emptied(self.place, (known, made.is_file() and file_address(made))):
+        if not emptied(self.sounds, (known, made.is_file() and file_address(made))):
             return
-        own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
-        with self.place:
+        own = {"": "the responses themselves", **{name: name for name in known}}
+        if self.asked["dry"] not in own:
+            self.asked["dry"] = ""
+        with self.sounds:
             heading("Before and after, to listen to")
             text = "A dry recording of one channel:"
-            FileDrop(text, project.DRY, RESPONSE_SUFFIXES, self.take_dry)
+            file_drop(text, project.DRY, RESPONSE_SUFFIXES, self.take_dry)
             with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                ui.select(
-                    own,
-                    label="What to listen to",
-                    value=self.dry if self.dry in own else "",
-                    on_change=lambda e: self.choose_dry(e.value),
-                ).props("outlined dense").style("flex: 1 1 16rem")
-                text = "Make the sounds of what is set above"
-                quiet_button(text, self.make)
+                field(self.asked, "dry", "What to listen to", own, style="flex: 1 1 16rem")
+                quiet_button("Make the sounds of what is set above", self.make_sounds)
             if made.is_file():
                 markup(sounds_html(made.parent))
 
@@ -459,163 +394,211 @@ def sounds_html(folder: Path) -> str:
     """Return what `roomfit listen` has written, before and after side by side."""
     content, _ = written_content(folder / "listen.json", "sounds")
     rows = []
-    for own in content["responses"][:100]:
-        name = f"{own['source']} to {own['receiver']}"
+    for own in content["responses"][:_MOST_ROWS]:
         for dry in ("dry_", "") if content["dry_factor"] else ("",):
-            what = "recording" if dry else "response"
-            cells = [f"{escape(name)}, {what}"]
+            name = f"{own['source']} to {own['receiver']}, {'recording' if dry else 'response'}"
+            cells = [f'<th scope="row">{escape(name)}</th>']
             for kind in ("before", "after"):
                 source = escape(file_address(folder / str(own["files"][f"{dry}{kind}"])))
-                label = escape(f"{name}, {what} {kind}")
-                cells.append(
-                    f'<audio controls preload="none" src="{source}" aria-label="{label}"></audio>'
-                )
-            rows.append(cells)
-    table = table_html("At one volume: nothing is normalised by itself", _SOUND_HEADS, rows)
-    return f'<p class="soft">{escape("; ".join(content["changes"]))}</p>{table}'
-
-
-@dataclass(frozen=True, slots=True)
-class _Axes:
-    """Where bands and values lie in a chart, in the units of its drawing."""
-
-    words: Sequence[str]  # of the bands
-    ticks: Sequence[float]  # from the lowest value to the highest
-
-    def x(self, band: int) -> float:
-        left = _LEFT if len(self.words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
-        return left + 16.0 + (_WIDE - left - 24.0) / max(len(self.words) - 1, 1) * band
-
-    def y(self, value: float) -> float:
-        low, high = self.ticks[0], self.ticks[-1]
-        return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
-
-    def line(self, values: Sequence[float | None], style: str) -> str:
-        """Return a line through values, those left out that are not known."""
-        at = [(self.x(i), self.y(v)) for i, v in enumerate(values) if v is not None]
-        if len(self.words) == 1:  # a line of one point is not seen
-            at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
-        return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
-
-    def bars(
-        self,
-        lower: Sequence[float | None],
-        upper: Sequence[float | None],
-        style: str,
-        beside: float = 0.0,
-    ) -> list[str]:
-        """Return an upright bar for each interval, cut off at the edges."""
-        low, high = self.ticks[0], self.ticks[-1]
-        return [
-            f'<line x1="{self.x(i) + beside:.1f}" x2="{self.x(i) + beside:.1f}" '
-            f'y1="{self.y(max(a, low)):.1f}" y2="{self.y(min(b, high)):.1f}" {style}/>'
-            for i, (a, b) in enumerate(zip(lower, upper, strict=True))
-            if a is not None and b is not None and a < high and b > low
-        ]
-
-    def grid(self) -> list[str]:
-        """Return a line and a number for each tick, and a word for each band."""
-        parts = [
-            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{self.y(value):.1f}" y2="{self.y(value):.1f}" '
-            f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{self.y(value) + 4:.1f}" '
-            f'text-anchor="end">{value:.6g}</text>'
-            for value in self.ticks
-        ]
-        if len(self.words) > 1:
-            parts.append(f'<text x="{_LEFT - 4}" y="{_HIGH - 6}" text-anchor="end">Hz</text>')
-        return parts + [
-            f'<text x="{self.x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
-            for i, word in enumerate(self.words)
-        ]
-
-    def limit(self, limit: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
-        """Return the line of a limit across the bands in which it holds."""
-        at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
-        left, right = _LEFT, _WIDE
-        if at and len(self.words) > 1:
-            left, right = self.x(min(at)) - 14.0, self.x(max(at)) + 14.0
-        y = self.y(limit["value"])
-        return (
-            f'<line class="limit" x1="{left:.1f}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
-            'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
-        )
-
-
-def _ticks(name: str, shown: Sequence[float], ends: Sequence[float]) -> list[float]:
-    """Return the ticks of a parameter's chart, from all values that it shows, and interval ends.
-
-    An interval may be endless: it ends at the edge then, and does not make all else small.
-    """
-    is_time = name.endswith("_s")
-    wide = max(shown) - (0.0 if is_time else min(shown)) or 1.0
-    low = 0.0 if is_time else max(min([*shown, *ends]), min(shown) - wide)
-    high = min(max([*shown, *ends]), max(shown) + wide)
-    drawn = map(float, MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
-    most = _MOST.get(name)
-    ticks = [t for t in drawn if most is None or 0.0 <= t <= most]
-    return ticks if len(ticks) > 1 else [0.0, most or 1.0]
-
-
-def chart_svg(
-    view: Mapping[str, Any],
-    name: str,
-    bands_hz: Sequence[float],
-    limits: Sequence[Mapping[str, Any]],
-) -> str:
-    """Return one room parameter over the bands as a drawing, in the colours of the page.
-
-    By hand: `ui.echart` would add 1.7 MB of script, draws intervals only by a function in
-    JavaScript, and takes neither the page's colours nor a text that says what is drawn.
-    """
-    label, mean = _LABELS[name], view["mean"][name]
-    pairs = [pair[name]["predicted"] for pair in view["pairs"]]
-    sure = [*mean["predicted"], *mean.get("before", []), *(v for p in pairs for v in p)]
-    known = [v for v in (*sure, *(x["value"] for x in limits)) if v is not None]
-    ends = [v for v in (*mean["lower95"], *mean["upper95"]) if v is not None]
-    if not known:
-        return f"<p>{escape(label)}: not known</p>"
-    words = [_SPEECH] if name == "STI" else [short_hertz(f) for f in bands_hz]
-    axes = _Axes(words, _ticks(name, known, ends))
-    thin = 'fill="none" stroke="var(--soft)" stroke-width="0.6" opacity="0.6"'
-    parts = [*axes.grid(), *(axes.line(p, thin) for p in pairs[:200])]
-    if "before" in mean:
-        dashed = 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'
-        before = 'stroke="var(--ink)" stroke-width="1.2"'
-        parts.append(axes.line(mean["before"], dashed))
-        parts += axes.bars(mean["before_lower95"], mean["before_upper95"], before, -5.0)
-    wide = 'stroke="var(--accent)" stroke-width="5" opacity="0.45"'
-    parts += axes.bars(mean["lower95"], mean["upper95"], wide)
-    strong = 'fill="none" stroke="var(--accent)" stroke-width="2.4"'
-    parts.append(axes.line(mean["predicted"], strong))
-    parts += [axes.limit(limit, bands_hz) for limit in limits]
-    means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
-    lines = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
-    of = "" if name == _TIMES else ", mean over the pairs"
-    spoken = escape(f"{label}{of} by band: {means}; limits: {lines}")
+                player = f'<audio controls preload="none" src="{source}"'
+                cells.append(f'<td>{player} aria-label="{escape(name)} {kind}"></audio></td>')
+            rows.append(f"<tr>{''.join(cells)}</tr>")
+    heads = "".join(f'<th scope="col">{word}</th>' for word in ("Pair", "Before", "After"))
     return (
-        f"<h2>{escape(label)}</h2>"
-        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="13" fill="currentColor" '
-        f'aria-label="{spoken}">{"".join(parts)}</svg>'
+        f'<p class="soft">{escape("; ".join(content["changes"]))}</p><div class="scroll">'
+        '<table class="data"><caption>At one volume: nothing is normalised by itself</caption>'
+        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )
 
 
-def pairs_html(view: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
-    """Return every parameter of every pair as a table."""
-    rows = []
-    names = [n for n in _LABELS if n in view["mean"]]
-    for pair in view["pairs"][:100]:
-        for name in names:
-            own = pair[name]
-            cells = [f"{escape(pair['source'])} to {escape(pair['receiver'])}", _LABELS[name]]
-            for value, low, high in zip(
-                own["predicted"], own["lower95"], own["upper95"], strict=True
-            ):
-                if value is None:
-                    cells.append("-")
-                    continue
-                ends = "" if low is None or high is None else f"{low:.2f}-{high:.2f}"
-                cells.append(f'{value:.2f}<div class="small">{ends}</div>')
-            cells += [""] * (2 + len(bands_hz) - len(cells))  # the index is of all bands together
-            rows.append(cells)
-    heads = ["Pair", "Parameter", *(hertz(f) for f in bands_hz)]
-    return table_html("Where a measurement is expected, 95 of 100 times", heads, rows)
+class TreatmentForm:
+    """Fields that are the project's treatment.toml, and below them the last answer."""
+
+    def __init__(self, bench: Bench, is_doubted: Callable[[], bool]) -> None:
+        self.bench = bench
+        self.is_doubted = is_doubted  # whether also where the result is seriously doubted
+        self.room: dict[str, Any] = {}  # its surfaces, and the bands of targets
+        self.read: dict[str, Any] = {}  # what the file held last
+        self.asked: dict[str, Any] = {}  # as the fields have it: what the file is to hold
+        self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+        with self.place:
+            heading("What to hang where")
+            self.fields = ui.element("div")
+            text = "Search for the cheapest that meets the targets"
+            quiet_button(text, self.search).style("margin-top: 0.5rem")
+            self.fault = ui.label().classes("serious").style("white-space: pre-wrap")
+            self.answer = ui.element("div").props('role="status"')
+        self.place.set_visibility(False)
+
+    def show(self, view: Mapping[str, Any]) -> None:
+        """Show what the file asks, unless the fields have it already, and the last answer."""
+        self.fault.set_text(view["fault"])
+        room = {key: view[key] for key in ("areas_m2", "bands_hz", "from_times")}
+        question = view["question"]
+        if room != self.room or question not in (self.read, self.written()):
+            empty = {"surfaces": {}, "products": {}, "probability": 0.5}
+            first = [] if question else [{"parameter": "T30_s"}]
+            self.asked = {**empty, "targets": first, **copy.deepcopy(question)}
+            self.room = room
+            self.draw()
+        self.read = question
+        self.show_answer(view["sentence"])
+
+    def written(self) -> dict[str, Any]:
+        """Return what the fields hold as the file has it: empty ones are no keys."""
+
+        def filled(table: Mapping[str, Any]) -> dict[str, Any]:
+            # of all octaves together, as speech transmission is, there are no bands
+            no_bands = ("bands_hz", "mean_of_bands") if table.get("parameter") == "STI" else ()
+            known = {k: v for k, v in table.items() if k not in no_bands}
+            return {k: v for k, v in known.items() if v is not None and v != []}
+
+        own = {key: value for key, value in self.asked.items() if value is not None}
+        for key in ("surfaces", "products"):
+            own[key] = {name: filled(table) for name, table in own.get(key, {}).items()}
+        own["targets"] = [filled(target) for target in own.get("targets", [])]
+        if own.get("probability") == 0.5 and "probability" not in self.read:
+            del own["probability"]
+        return own
+
+    async def search(self) -> None:
+        """Write the file, and put the search into the queue."""
+        with saying_errors(self.place):
+            await self.bench.ask("ask_treatment", question=self.written())
+            self.bench.add("What to hang where", "treat", doubted=self.is_doubted())
+
+    def draw(self) -> None:
+        """Draw all fields."""
+        areas_m2, asked = self.room["areas_m2"], self.asked
+        self.fields.clear()
+        with self.fields:
+            heading("Surfaces that may be covered", 3)
+            with ui.element("div").classes("asked"):
+                for name in dict.fromkeys([*areas_m2, *asked["surfaces"]]):
+                    self.draw_surface(name, areas_m2.get(name))
+            heading("Products", 3)
+            self.products = ui.element("div").classes("asked")
+            adding: dict[str, Any] = {"product": None}
+            self.catalogue = field(
+                adding,
+                "product",
+                "Add a product (search the catalogue)",
+                catalogue_words(),
+                style="max-width: 34rem",
+                then=lambda: self.add_product(adding["product"]),
+                with_input=True,
+            )
+            heading("Targets", 3)
+            self.targets = ui.element("div")
+            with ui.element("div").classes("bar"):
+                first = {"parameter": "T30_s"}
+                quiet_button("Add a target", lambda: self.change_targets(add=dict(first)))
+                odds = asked["probability"]
+                words = {**_ODDS, odds: f"{100 * odds:g} %"}
+                label = "Met with a probability of"
+                field(asked, "probability", label, words, style="width: 13rem")
+        self.draw_products()
+        self.draw_targets()
+
+    def draw_surface(self, name: str, area_m2: float | None) -> None:
+        """Draw whether a surface may be covered, and how much of it."""
+        text = f"{name}, " + ("not in this room" if area_m2 is None else f"{area_m2:.1f} m²")
+        known = self.asked["surfaces"]
+        kept, covered = known.get(name, {}), {"is": name in known}
+
+        def cover() -> None:
+            if covered["is"]:
+                known[name] = kept
+            else:
+                known.pop(name, None)
+            free.set_enabled(covered["is"])
+
+        field(covered, "is", text, then=cover)
+        free = field(kept, "free_m2", "Free m²", style=_FIELD, spoken=f"Free area of {name} in m²")
+        free.set_enabled(covered["is"])
+
+    def draw_products(self) -> None:
+        """Draw a row for each product."""
+        self.products.clear()
+        with self.products:
+            for name, product in self.asked["products"].items():
+                entry = product.get("catalogue")
+                ui.label(name if entry in (None, name) else f"{name}: {entry}")
+                with ui.element("div").classes("bar"):
+                    spoken = f"Cost of {name} per m²"
+                    field(product, "cost_per_m2", "Cost per m²", style=_FIELD, spoken=spoken)
+                    spoken = f"Piece of {name} in m²"
+                    field(product, "piece_m2", "Piece, m²", style=_FIELD, spoken=spoken)
+                    quiet_button("Remove", partial(self.remove_product, name), f"Remove {name}")
+
+    def add_product(self, name: str | None) -> None:
+        """Take an entry of the catalogue as a product."""
+        if name:
+            self.asked["products"].setdefault(name, {"catalogue": name})
+            self.catalogue.set_value(None)
+            self.draw_products()
+
+    def remove_product(self, name: str) -> None:
+        """Take a product out."""
+        del self.asked["products"][name]
+        self.draw_products()
+
+    def change_targets(self, remove: int | None = None, add: dict[str, Any] | None = None) -> None:
+        """Take a target out, or another one in."""
+        targets = self.asked["targets"]
+        self.asked["targets"] = [t for i, t in enumerate(targets) if i != remove]
+        self.asked["targets"] += [] if add is None else [add]
+        self.draw_targets()
+
+    def draw_targets(self) -> None:
+        """Draw a row for each target."""
+        self.targets.clear()
+        with self.targets:
+            for number, target in enumerate(self.asked["targets"], start=1):
+                with ui.element("div").classes("bar").style("margin-bottom: 0.4rem"):
+                    self.draw_target(number, target)
+                    remove = partial(self.change_targets, number - 1)
+                    quiet_button("Remove", remove, f"Remove target {number}")
+
+    def draw_target(self, number: int, target: dict[str, Any]) -> None:
+        """Draw what is to be reached; of a standard, or about a value, as text."""
+        stated = [f"{key} {target[key]}" for key in _HIDDEN if key in target]
+        if stated:
+            ui.label(", ".join([str(target.get("parameter", "")), *stated]).lstrip(", "))
+            return
+        own = target.setdefault("parameter", "T30_s")
+        names = [TIMES] if self.room["from_times"] else list(LABELS)
+        words = {name: LABELS.get(name, name) for name in dict.fromkeys([*names, own])}
+        field(target, "parameter", f"Target {number}", words, style="width: 9rem")
+        for key, word in (("at_least", "At least"), ("at_most", "At most")):
+            field(target, key, word, style=_FIELD, spoken=f"{word}, target {number}")
+        chosen = target["bands_hz"] = [float(f) for f in target.get("bands_hz", [])]
+        bands = {f: hertz(f) for f in sorted({*self.room["bands_hz"], *chosen})}
+        label, spoken = "Bands (none: 500, 1000, 2000 Hz)", f"Bands of target {number}"
+        wide = "flex: 0 1 18rem"
+        field(target, "bands_hz", label, bands, style=wide, spoken=spoken).props("use-chips")
+        mean = {"is": bool(target.get("mean_of_bands"))}
+        field(
+            mean,
+            "is",
+            "mean of the bands",
+            spoken=f"Target {number} is of the mean of its bands",
+            then=lambda: target.update(mean_of_bands=mean["is"] or None),
+        )
+
+    def show_answer(self, sentence: str) -> None:
+        """Show the sentence of the answer, its picture and its files, unless they are shown."""
+        files = project.listed(self.bench.folder, project.TREATMENT)
+        found = {f: escape(file_address(f)) for f in files}
+        if not emptied(self.answer, (sentence, found)):
+            return
+        with self.answer:
+            if sentence:
+                heading("The cheapest that was found", 3)
+                ui.label(sentence)
+            for file, place in found.items():
+                if file.suffix == ".svg":
+                    markup(f'<img alt="{escape(file.stem)}" src="{place}" width="100%">')
+            for file, place in found.items():
+                if file.suffix != ".svg":
+                    markup(f'<a href="{place}&save=1">{escape(file.name)}</a>')

@@ -1,0 +1,200 @@
+"""Identify and Report: a first answer, the full one, and what can be taken away of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any, ClassVar
+from urllib.parse import quote
+
+from nicegui import ui
+
+from roomfit.app import project
+from roomfit.app.elements import (
+    Advice,
+    Tab,
+    emptied,
+    field,
+    findings,
+    heading,
+    markup,
+    quiet_button,
+    saying_errors,
+)
+from roomfit.app.jobs import Bench
+from roomfit.base.bands import OCTAVES_HZ
+from roomfit.report.wording import hertz
+
+_NAMES = {
+    project.FULL: ("full answer", "The report"),
+    project.QUICK: ("first answer", "The report of the first answer"),
+    project.MEAN: ("mean of the room, from decay times alone", "What the decay times say"),
+}
+_TIMES_ALONE = (
+    "Decay times give the mean absorption of the room in each of their bands, with its interval, "
+    "and of no wall by itself: that takes recordings and positions, see Measurements. "
+    "What other walls would do is in What if."
+)
+_STALE = "The campaign has changed since this answer was made."
+_OCTAVES = {f: hertz(f) for f in OCTAVES_HZ}
+_PROGRAMS = {
+    "csv": "CSV",
+    "catt": "CATT-Acoustic",
+    "odeon": "ODEON",
+    "isimpa": "I-Simpa",
+    "pyroomacoustics": "pyroomacoustics",
+}
+_WHOLE = {
+    "pdf": "The report as PDF",
+    "word": "The report as a Word file",
+    "excel": "All of it as an Excel workbook",
+}
+_FILES = ("report.html", "absorption.csv", *project.MEAN_FILES)
+
+
+class IdentifyTab(Tab):
+    """Bands, buttons that begin an identification, and the best answer that there is."""
+
+    name: ClassVar[str] = "Identify"
+    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, *project.RESULTS, project.MEAN)
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.campaign_bands = (0.0, 0.0)  # as the campaign had them when it was read last
+        self.bands: dict[str, Any] = {"low": 125.0, "high": 4000.0}
+        with self.place:
+            with ui.element("div").classes("bar panel"):
+                with ui.element("div").classes("bar") as self.of_walls:
+                    wide = "width: 9rem"
+                    self.lowest = field(self.bands, "low", "Lowest octave", _OCTAVES, style=wide)
+                    self.highest = field(self.bands, "high", "Highest octave", _OCTAVES, style=wide)
+                    text = "First answer, then the full one"
+                    both = partial(self.start, True, False)
+                    ui.button(text, on_click=both).props("no-caps")
+                    quiet_button("First answer only", partial(self.start, True))
+                    quiet_button("Full answer only", partial(self.start, False))
+                text = "Mean absorption from the decay times"
+                self.times = quiet_button(text, self.start_times)
+                self.times_alone = ui.label(_TIMES_ALONE).classes("soft").style("flex: 1 1 20rem")
+            with ui.element("div") as self.stale:
+                findings([{"severity": "warning", "sentence": _STALE}])
+            self.stale.set_visibility(False)
+            self.advice = Advice(bench.folder)
+            self.answer = ui.element("div").style("width: 100%")
+
+    def start(self, *quick: bool) -> None:
+        """Put identifications in the chosen bands into the queue."""
+        folder = self.bench.folder
+        with saying_errors(self.answer):
+            project.check_campaign_there(folder)
+            project.set_bands(folder, self.bands["low"], self.bands["high"])
+            for one in quick:
+                self.bench.add("First answer" if one else "Full answer", "identify", quick=one)
+
+    async def start_times(self) -> None:
+        """Find what decay times alone say, at once: it takes a tenth of a second."""
+        with saying_errors(self.answer):
+            await self.bench.ask("reverberation")
+            await self.refresh()
+
+    async def refresh(self) -> None:
+        """Show the full answer, or else the first one, or else what decay times alone say."""
+        folder = self.bench.folder
+        if project.has_campaign(folder):  # at once: what is chosen while the answer is read stays
+            bands = project.bands(folder)
+            if set(bands) <= set(_OCTAVES) and self.campaign_bands != bands:
+                self.campaign_bands = bands
+                self.lowest.set_value(bands[0])
+                self.highest.set_value(bands[1])
+        found = project.best_result(folder)
+        has_times = project.decay_times(folder) is not None
+        is_all = project.decay_times(folder, alone=True) is not None
+        self.times.set_visibility(has_times)
+        self.times_alone.set_visibility(is_all)
+        self.of_walls.set_visibility(not is_all)
+        name = project.MEAN if has_times else project.FULL
+        name = name if found is None else found.parent.name
+        view = await self.newest(self.bench.ask("answer_view", name=name))
+        if view is None:
+            return
+        self.stale.set_visibility(view.get("stale", False))
+        self.advice.show(view.get("advised", []))
+        made = view.get("made")
+        if emptied(self.answer, (name, made)):
+            with self.answer:
+                if made is None:
+                    ui.label("No answer yet.").classes("soft")
+                    return
+                heading(f"Absorption: {_NAMES[name][0]}")
+                page = project.MEAN_FILES[0] if name == project.MEAN else "report.html"
+                address = escape(f"/files/{name}/{page}?{made:.0f}")
+                markup(f'<iframe class="report" title="Report" src="{address}"></iframe>')
+
+
+class ReportTab(Tab):
+    """The files of the best answer, and exports that are made when they are asked for."""
+
+    name: ClassVar[str] = "Report"
+    files: ClassVar[tuple[str, ...]] = (*project.RESULTS, project.MEAN)
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        with self.place:
+            self.answer = ui.element("div").style("width: 100%")
+            self.links = ui.element("div")
+        self.exported: dict[str, list[str]] = {}  # files by format, of the answer that is shown
+
+    async def export(self, wanted: str) -> None:
+        """Have an export made, and download it where it is one file."""
+        with saying_errors(self.answer):
+            files = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
+            if self.answer.is_deleted:  # the page was closed meanwhile
+                return
+            if len(files) == 1:
+                with self.answer:  # what was clicked may have been drawn anew
+                    ui.navigate.to(f"/files/{quote(files[0])}?save=1")
+            await self.refresh()
+
+    async def refresh(self) -> None:
+        """Show the files of the best answer."""
+        mean = self.bench.folder / project.MEAN / project.MEAN_FILES[-1]
+        found = project.best_result(self.bench.folder) or (mean if mean.is_file() else None)
+        if emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
+            self.exported.clear()  # of the answer before
+            with self.answer:
+                self.show_answer(found)
+        if emptied(self.links, dict(self.exported)):
+            with self.links:
+                for file in [file for files in self.exported.values() for file in files]:
+                    markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')
+
+    def show_answer(self, found: Path | None) -> None:
+        """Draw links to the files of an answer, and buttons for its exports."""
+        if found is None:
+            ui.label("No answer yet: identify first.").classes("soft")
+            return
+        folder = found.parent.name
+        heading(_NAMES[folder][1])
+        names = [n for n in _FILES if (found.parent / n).is_file()]
+        links = [
+            f'<a href="/files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names
+        ] + [
+            f'<a href="/files/{folder}/{n}" target="_blank" rel="noopener">'
+            "Open the report in a tab of its own</a>"
+            for n in names
+            if n.endswith(".html")
+        ]
+        markup(f"<ul>{''.join(f'<li>{link}</li>' for link in links)}</ul>")
+        if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
+            return
+        self.show_buttons(_WHOLE)
+        heading("Materials for other programs")
+        self.show_buttons(_PROGRAMS)
+
+    def show_buttons(self, offered: Mapping[str, str]) -> None:
+        """Draw a button for each export."""
+        with ui.element("div").classes("bar"):
+            for wanted, text in offered.items():
+                quiet_button(text, partial(self.export, wanted))
