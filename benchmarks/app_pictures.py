@@ -34,7 +34,7 @@ _SEEN = {
     "Room": "can be traced",
     "Measure": "Measure an impulse response",
     "Measurements": "T20 is not evaluated there",
-    "Identify": "Measured against predicted",
+    "Identify": "Absorption: full answer",
     "What if": "pairs, ",
     "Report": "Download report.html",
 }

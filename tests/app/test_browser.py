@@ -759,7 +759,6 @@ def test_the_owner_of_a_hall_gets_to_square_metres_by_the_page_alone(
         page.get_by_text("decay-times/pasted.csv is used").wait_for()
         is_readable()
         visit.tab("Identify")
-        page.get_by_role("rowheader", name="room mean").wait_for(timeout=_MINUTES_MS)
         page.frame_locator("iframe").get_by_text("Eyring").first.wait_for()
         assert not page.get_by_role("button", name=re.compile("First answer")).count()
         is_readable()

@@ -49,19 +49,19 @@ class Tab:
 
 
 class Scripted(Element):
-    """What a script of this folder draws: it says one kind of event, and is told properties."""
+    """What a script of this folder draws: it sends one kind of event, and takes properties."""
 
     def __init__(
-        self, event: str, on_event: Callable[[Any], Any], *, throttle: float = 0.0, **told: Any
+        self, event: str, on_event: Callable[[Any], Any], *, throttle: float = 0.0, **properties: Any
     ) -> None:
         super().__init__()
-        self.tell(**told)
+        self.tell(**properties)
         self.on(event, lambda said: on_event(said.args), throttle=throttle)
 
-    def tell(self, **told: Any) -> None:
+    def tell(self, **properties: Any) -> None:
         """Draw with other properties, where they are others."""
-        if any(key not in self.props or self.props[key] != told[key] for key in told):
-            self.props.update(told)
+        if any(key not in self.props or self.props[key] != value for key, value in properties.items()):
+            self.props.update(properties)
             self.update()
 
 

@@ -195,17 +195,22 @@ def recordings_view(folder: Path) -> dict[str, Any]:
         if names:
             view["findings"].append({**own, "sentence": sentence.format(in_short(names))})
     if rows and has_room and not missing:  # without a place of each nothing can be examined
-        try:
-            campaign = read_campaign(project.campaign_file(folder))
-            checked = check_campaign_recordings(campaign)
-            view["advised"] = advice_view(checked.findings, campaign)
-            view["findings"] += map(finding_content, checked.findings)
-            for table in recordings_blocks(checked).head:
-                if isinstance(table, Table):
-                    view["table"] = html_of(replace(table, kind="data"))
-        except RoomfitError as error:
-            view["findings"].append(finding_of_error(error))
+        _examine(folder, view)
     return view
+
+
+def _examine(folder: Path, view: dict[str, Any]) -> None:
+    """Add what `roomfit check` says of the recordings."""
+    try:
+        campaign = read_campaign(project.campaign_file(folder))
+        checked = check_campaign_recordings(campaign)
+        view["advised"] = advice_view(checked.findings, campaign)
+        view["findings"] += map(finding_content, checked.findings)
+        for table in recordings_blocks(checked).head:
+            if isinstance(table, Table):
+                view["table"] = html_of(replace(table, kind="data"))
+    except RoomfitError as error:
+        view["findings"].append(finding_of_error(error))
 
 
 def table_positions(folder: Path, table: str = "") -> list[dict[str, Any]]:
@@ -384,7 +389,7 @@ def ready(_: Path) -> str:
 
 
 WORKS: dict[str, Callable[..., Any]] = {f.__name__: f for f in (identify, demo, treat, listen)}
-"""What takes long, by name: of a function that is told how far it is, and the folder."""
+"""What takes long, by name: of a function for progress, and the folder."""
 TASKS: dict[str, Callable[..., Any]] = {
     f.__name__: f
     for f in (

@@ -125,7 +125,7 @@ class WhatIfTab(Tab):
         super().__init__(bench)
         self.changes = Changes((), {})
         # also where the result is seriously doubted; to which material the sliders belong, and what
-        # it becomes; what is heard, "" the responses themselves
+        # it becomes; what sounds, "" the responses themselves
         self.asked: dict[str, Any] = {"doubted": False, "material": "", "entry": None, "dry": ""}
         self.targets: dict[str, Any] = {}  # by parameter, as typed
         self.worker = bench.what_if  # the process that has the room ready
