@@ -52,7 +52,12 @@ class Scripted(Element):
     """What a script of this folder draws: it sends one kind of event, and takes properties."""
 
     def __init__(
-        self, event: str, on_event: Callable[[Any], Any], *, throttle: float = 0.0, **properties: Any
+        self,
+        event: str,
+        on_event: Callable[[Any], Any],
+        *,
+        throttle: float = 0.0,
+        **properties: Any,
     ) -> None:
         super().__init__()
         self.tell(**properties)
@@ -60,7 +65,9 @@ class Scripted(Element):
 
     def tell(self, **properties: Any) -> None:
         """Draw with other properties, where they are others."""
-        if any(key not in self.props or self.props[key] != value for key, value in properties.items()):
+        if any(
+            key not in self.props or self.props[key] != value for key, value in properties.items()
+        ):
             self.props.update(properties)
             self.update()
 
