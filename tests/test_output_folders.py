@@ -23,6 +23,7 @@ ENVIRONMENT = {
     "PYTHONDONTWRITEBYTECODE": "1",
 }
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
+FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
 OLD = {"result.json": "old", "decay_1.png": "old", "decay_2.png": "old", "inner/table.csv": "old"}
 NEW = {"result.json": "new", "decay_1.png": "new", "inner/table.csv": "new", "more.csv": "new"}
 FOREIGN = {"decay_1_notes.png": "mine", "inner/notes.txt": "mine", "own/notes.txt": "mine"}
@@ -190,23 +191,27 @@ def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_p
     assert sorted(p.name for p in tmp_path.iterdir()) == ["other", "out"]
 
 
-@POSIX
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_a_request_to_end_leaves_nothing(tmp_path, number):
+def command(body: str, *arguments: object) -> subprocess.Popen:
+    """Start a command line whose one command has this body."""
     program = (
         "import sys, time, roomfit.cli as cli; from pathlib import Path\n"
         "from roomfit.base.whole_files import whole_output_folder\n"
-        "def run(options):\n"
-        "    with whole_output_folder(Path(sys.argv[1])) as folder:\n"
-        "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)\n"
+        f"def run(options):\n    {body}\n"
         "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
         "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
         "cli.main([])"
     )
-    run = subprocess.Popen(
-        [sys.executable, "-c", program, str(tmp_path / "out")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+    whole = [sys.executable, "-c", program, *map(str, arguments)]
+    return subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@POSIX
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_request_to_end_leaves_nothing(tmp_path, number):
+    run = command(
+        "with whole_output_folder(Path(sys.argv[1])) as folder:\n"
+        "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)",
+        tmp_path / "out",
     )
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     time.sleep(0.1)
@@ -221,20 +226,10 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
 @POSIX
 def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     """Python prints it as ignored and goes on; the command line asks again."""
-    program = (
-        "import sys, time, roomfit.cli as cli\n"
-        "class Slow:\n"
-        "    def __del__(self):\n"
-        "        print('in', flush=True); time.sleep(600)\n"
-        "def run(options):\n"
-        "    Slow()\n"
-        "    time.sleep(600)\n"
-        "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
-        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
-        "cli.main([])"
-    )
-    run = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    run = command(
+        "class Slow:\n        def __del__(self):\n"
+        "            print('in', flush=True); time.sleep(600)\n"
+        "    Slow()\n    time.sleep(600)"
     )
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     run.send_signal(signal.SIGINT)
@@ -243,7 +238,16 @@ def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     assert b"Exception ignored" in said
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+@POSIX
+def test_an_interrupt_within_exec_ends_with_the_same_code():
+    """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
+    run = command("exec('raise KeyboardInterrupt')")
+    _, said = run.communicate()
+    assert run.returncode == 130
+    assert said.startswith(b"interrupted")
+
+
+@FULL
 def test_where_messages_cannot_be_written_the_exit_code_still_tells(tmp_path):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
@@ -269,7 +273,7 @@ def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsy
     assert (tmp_path / "pipe").is_fifo()
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+@FULL
 def test_output_to_a_full_device_is_reported(tmp_path):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
@@ -280,19 +284,3 @@ def test_output_to_a_full_device_is_reported(tmp_path):
         )
     assert done.returncode == 2
     assert done.stderr.startswith(b"the disk is full") and b"Traceback" not in done.stderr
-
-
-@POSIX
-def test_an_interrupt_within_exec_ends_with_the_same_code():
-    """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
-    program = (
-        "import sys, roomfit.cli as cli\n"
-        "def run(options):\n"
-        "    exec('raise KeyboardInterrupt')\n"
-        "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
-        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
-        "cli.main([])"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
-    assert done.returncode == 130
-    assert done.stderr.startswith(b"interrupted")

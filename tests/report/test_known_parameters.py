@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from itertools import combinations
 
@@ -18,7 +17,6 @@ from roomfit.report.prediction_figures import predicted_decay_figure
 from roomfit.report.tables import error_tables, pair_sections, sti_tables
 from roomfit.report.wording import DASH
 from roomfit.result import Compared
-from small_campaign import run_command, write_campaign
 
 # How each is written, and which stands for the decay time: the first of these that is there.
 SYMBOLS = {
@@ -45,10 +43,6 @@ def with_parameters(names, *, curves=False):
 
 def time_of(names):
     return next((name for name in TIMES if name in names), None)
-
-
-def test_there_are_255_subsets_of_eight_parameters():
-    assert len(set(SUBSETS)) == 2**8 - 1
 
 
 @pytest.mark.slow
@@ -105,31 +99,6 @@ def predicted_with(names):
         answer.bands, answer.materials, answer.absorption, answer.lower95, answer.upper95,
         (), (pair,), table, (), 8, 1, 0.1,
     )  # fmt: skip
-
-
-@pytest.mark.slow
-def test_identify_ends_well_with_a_table_that_holds_t30_alone(tmp_path, monkeypatch, capsys):
-    """The times are Eyring's of an absorption of 0.25: V = 30 m3, S = 59 m2."""
-    both = [f'[[measurements]]\nsource = "LS1"\nreceiver = "{r}"\nfile = "LS1_{r}.wav"\n'
-            for r in ("MP1", "MP2")]  # fmt: skip
-    campaign = write_campaign(
-        tmp_path / "campaign",
-        (both[0], '[[measurements]]\nparameters = "t30.csv"\n'), (both[1], ""),
-    )  # fmt: skip
-    with (campaign.parent / "t30.csv").open("w", newline="") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["source", "receiver", "parameter", 500, 1000])
-        rows.writerows([["LS1", "MP1", "T30", 0.28, 0.28], ["LS1", "MP2", "T30", 0.29, 0.28]])
-    out = tmp_path / "out"
-    assert run_command(monkeypatch, "identify", campaign, "--out", out, "-q") == 0
-    shown = capsys.readouterr()
-    assert shown.err == ""
-    assert "T30 in s, mean of the fitted measurements" in shown.out
-    lines = shown.out.splitlines()
-    assert any(x.startswith("measured") and "0.2" in x for x in lines)
-    assert not any(x.startswith(("T20", "EDT", "C80")) for x in lines)
-    page = read_page((out / "report.html").read_text(encoding="utf-8"))
-    assert list(page.tables["LS1 to MP1: predicted minus measured in JND"])[1:] == ["T30"]
 
 
 def test_the_speech_transmission_index_stands_in_text_report_and_result():

@@ -56,14 +56,6 @@ def compared():
     return foreseen([CHANGE])
 
 
-def test_where_the_room_before_is_not_known_nothing_stands_against_the_measurement():
-    found = foreseen([CHANGE], known_walls=False)
-    assert not found.compares_states
-    assert "jnd" not in str(found)
-    text = str(found)
-    assert re.search(r"^measured$", text, re.M) and "measured before" not in text
-
-
 def test_the_page_has_all_parameters_in_the_order_of_time_per_pair_and_mean(compared):
     page = page_of(compared)
     tables = re.findall(r"<caption>(.*?)</caption>(.*?)</table>", page, flags=re.DOTALL)

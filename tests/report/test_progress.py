@@ -74,25 +74,6 @@ def test_an_answer_that_nobody_reads_is_written_all_the_same(tmp_path):
         assert (tmp_path / name / "result.json").exists()
 
 
-def test_quiet_still_shows_errors(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main(["identify", str(tmp_path / "none.toml"), "--out", str(tmp_path / "o"), "--quiet"])
-    assert "does not exist" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_library_prints_nothing(tmp_path):
-    write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
-    program = (
-        "from pathlib import Path; from roomfit.cli.identify import identify_to_folder as f; "
-        "f(Path('campaign/campaign.toml'), Path('out'), quick=True, progress=lambda _: None)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert (done.stdout, done.stderr) == ("", "")
-
-
 def test_remaining_time_of_a_steady_job_is_that_which_is_left():
     reports = [(0.37 * i, 0.01 * i) for i in range(1, 61)]
     assert remaining_s(reports, 22.2) == pytest.approx(0.4 * 37.0, rel=0.05)

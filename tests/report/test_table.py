@@ -47,11 +47,6 @@ def test_text_is_lined_up_and_smaller_lines_stand_in_brackets():
     ]
 
 
-def test_columns_begin_and_end_at_the_same_place_in_every_line():
-    lines = text_of(Table("", ("a", "b"), [("x", 1), ("long name", 123456)])).splitlines()
-    assert len({len(line) for line in lines}) == 1
-
-
 def test_html_has_every_cell_and_no_text_of_a_user_as_markup():
     rows = read_page(html_of(SHOWN)).tables["Two walls"]
     assert "<b>" not in html_of(SHOWN) and "=a &lt;b&gt;" in html_of(SHOWN)
@@ -81,8 +76,3 @@ def test_a_sheet_has_numbers_as_numbers_and_no_formula():
         ["material", 125, 1000],
         ["'=a", 0.123456, None],
     ]
-
-
-def test_a_value_that_is_no_cell_is_a_mistake_of_the_program():
-    with pytest.raises(TypeError, match="no cell of a table is a list"):
-        csv_of(Table("", ("a",), [([1],)]))
