@@ -10,6 +10,7 @@ import numpy as np
 
 from roomfit.base.table import Cell, Table
 from roomfit.base.typing import BoolArray
+from roomfit.report import tables
 from roomfit.report.blocks import (
     Block,
     Blocks,
@@ -24,32 +25,6 @@ from roomfit.report.blocks import (
 )
 from roomfit.report.doubts import disagreement_table, remaining_usable
 from roomfit.report.html import page, translator
-from roomfit.report.tables import (
-    absorption_tables,
-    area_tables,
-    budget_tables,
-    compared_pairs,
-    compared_words,
-    condition_tables,
-    decay_time_tables,
-    error_tables,
-    errors_of,
-    fit_tables,
-    fixed_coefficients,
-    known_mean,
-    material_table,
-    mean_abs_jnd,
-    mean_decay_times,
-    object_tables,
-    pair_sections,
-    pair_title,
-    parameter_keys,
-    position_table,
-    prior_tables,
-    share_tables,
-    source_tables,
-    sti_tables,
-)
 from roomfit.report.wording import (
     DASH,
     Series,
@@ -146,7 +121,7 @@ def result_blocks(
 ) -> Blocks:
     """Return an identification as blocks.
 
-    The answer in a sentence, four numbers, findings, absorption; predictions beside measurements,
+    The answer in a sentence, two numbers, findings, absorption; predictions beside measurements,
     the room; folded away how sure it is, absorption areas, single pairs and provenance. `advice`
     is what findings advise to write into the campaign.
     """
@@ -173,7 +148,11 @@ def result_blocks(
 
     folded("How sure", "certainty", "priors, the fit, the uncertainty budget", _certainty(answer))
     if scene is not None:
-        areas: list[Block] = [Sentence(_AREAS), *area_tables(answer, scene), *share_tables(answer)]
+        areas: list[Block] = [
+            Sentence(_AREAS),
+            *tables.area_tables(answer, scene),
+            *tables.share_tables(answer),
+        ]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
         folded("Absorption areas", "areas", words, areas)
     few = len(answer.pairs) <= _MOST_DECAY_FILES
@@ -208,7 +187,7 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
 
     `say` translates sentences before names and numbers are put in.
     """
-    is_fixed = fixed_coefficients(answer)
+    is_fixed = tables.fixed_coefficients(answer)
     sure, wanted = answer.identifiable & ~is_fixed, ~is_fixed
     if not wanted.any():
         return say("Every coefficient was given; nothing was fitted.")
@@ -223,6 +202,7 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
             "the room."
         )
     everywhere = np.ones(len(answer.bands), dtype=np.bool_)
+    half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
     text = say(
         "The measurements determine {found} of {wanted} absorption coefficients of {materials}, "
         "{bands}, half of them to within ±{half}"
@@ -233,7 +213,7 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
         if say is str
         else f"{len(answer.materials)} {say('materials')}",
         bands=_in_language(band_ranges(answer.bands.centres_hz, everywhere), say),
-        half=_half_width(answer),
+        half=number(half, 2 if half >= 0.0095 else 3),
     )
     open_ = [
         f"{name} ({_in_language(_where(answer, missing), say)})"
@@ -261,35 +241,22 @@ def _where(answer: Result, found: BoolArray) -> str:
     return band_ranges(answer.bands.centres_hz, found)
 
 
-def _half_width(answer: Result) -> str:
-    """Return half of the median interval of what is identifiable and was not given."""
-    sure = answer.identifiable & ~fixed_coefficients(answer)
-    half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
-    return number(half, 2 if half >= 0.0095 else 3)
-
-
 def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[str, str], ...]:
-    """Return four numbers and what they are: the first screen of the report."""
-    fixed = fixed_coefficients(answer)
-    found = int((answer.identifiable & ~fixed).sum())
+    """Return the mean of the room and the error of its decay time, and what they are."""
     middle = int(np.argmin(np.abs(np.log2(answer.bands.centres_hz / 1000.0))))
     mean, low, high = (coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle]))
     at = hertz(float(answer.bands.centres_hz[middle]))
-    figures = [(f"{found} / {int((~fixed).sum())}", say("coefficients determined"))]
-    if found:
-        words = say("half of them are known to within this, at 95 %")
-        figures.append((f"±{_half_width(answer)}", words))
     words = say("mean absorption of the room at {at}").format(at=at)
-    figures.append((f"{mean} ({low}{DASH}{high})", words))
-    pairs = compared_pairs(answer)
-    known = parameter_keys(pairs)
+    figures = [(f"{mean} ({low}{DASH}{high})", words)]
+    pairs = tables.compared_pairs(answer)
+    known = tables.parameter_keys(pairs)
     key = decay_time_key(known) or next(iter(known), None)
     if key is None:
         return (*figures, (DASH, say("no measured room parameter to compare with")))
     how = parameter(key)
-    model, baseline = (known_mean(x) for x in errors_of(pairs, key))
+    model, baseline = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
     words = say("error of predicted {symbol}, mean of {pairs}").format(
-        symbol=how.symbol, pairs=say(_the(compared_words(answer)))
+        symbol=how.symbol, pairs=say(_the(tables.compared_words(answer)))
     )
     if np.isfinite(baseline):
         words += say("; by the mean of the others {baseline}").format(
@@ -304,14 +271,14 @@ def _the(pairs: str) -> str:
 
 def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
     """Return measured and predicted decay times over frequency, means over the pairs."""
-    found = mean_decay_times(answer)
+    found = tables.mean_decay_times(answer)
     if found is None:
         return []
     symbol, measured, predicted = found
     words = say(
         "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays within "
         "the pale box of a band, one just noticeable difference about what was measured."
-    ).format(symbol=symbol, pairs=say(_the(compared_words(answer))))
+    ).format(symbol=symbol, pairs=say(_the(tables.compared_words(answer))))
     title = f"{symbol} over frequency, measured and predicted"
     series = Series(say("measured"), measured), Series(say("predicted"), predicted)
     of = answer.bands.centres_hz, series, symbol
@@ -322,7 +289,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
 
 
 def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
-    more: list[Block] = [*object_tables(answer), *source_tables(answer)]
+    more: list[Block] = [*tables.object_tables(answer), *tables.source_tables(answer)]
     sentences = tuple(
         (hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
         for centre, sentence in zip(answer.bands.centres_hz, answer.sentences, strict=False)
@@ -348,7 +315,7 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
         more += [Sentence(words), Terms(offsets)]
     return [
         _absorption_drawing(answer, say),
-        *absorption_tables(answer),
+        *tables.absorption_tables(answer),
         Sentence(
             "In the table, brackets and the words “not identif.” mark a coefficient that the data "
             "do not determine: take the mean of the room instead, measure more positions, or "
@@ -384,12 +351,12 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
         words = "Decay times and clarity agree: no mean over the pairs is off by more than a "
         agree = Sentence(words + "listener notices.")
         off = disagreement_table(answer, scene)
-        if off is not None or parameter_keys(answer.pairs):
+        if off is not None or tables.parameter_keys(answer.pairs):
             found.append(off or agree)
-    errors = error_tables(answer)
+    errors = tables.error_tables(answer)
     worse = (("worse", "▲ marks where the model is worse than the baseline."),) if errors else ()
     found += [
-        *decay_time_tables(answer),
+        *tables.decay_time_tables(answer),
         Sentence(
             "Each error is shown beside that of the baseline, which needs no model of the room: "
             "the mean of the same parameter over the other fitted measurements (“others”).",
@@ -397,7 +364,7 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
             worse,
         ),
         *errors,
-        *sti_tables(answer),
+        *tables.sti_tables(answer),
     ]
     return [*found, Part("", tuple(_decays(answer)), in_text=False)]
 
@@ -415,7 +382,7 @@ def _decays(answer: Result) -> list[Block]:
     )
     if len(pairs) > 1:
         caption += " Shown first: the pair whose parameters are furthest off."
-    off = np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
+    off = np.nan_to_num([tables.mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
     names = [
         f"decay_{i:02d}_{in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
         for i, p in enumerate(answer.pairs, start=1)
@@ -430,7 +397,7 @@ def _decays(answer: Result) -> list[Block]:
             "decay_figure",
             answer,
             *pairs,
-            choices=tuple(map(pair_title, pairs)),
+            choices=tuple(map(tables.pair_title, pairs)),
             files=tuple(names[:_MOST_DECAY_FILES]),
             chosen=int(np.argmax(off)),
         )
@@ -462,7 +429,7 @@ def _room(scene: Scene) -> tuple[Block, ...]:
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
     picture = drawing("room", title, caption, "room_figure.room_figure", scene)
-    return picture, material_table(scene.room), position_table(scene)
+    return picture, tables.material_table(scene.room), tables.position_table(scene)
 
 
 def _certainty(answer: Result) -> list[Block]:
@@ -470,8 +437,12 @@ def _certainty(answer: Result) -> list[Block]:
         "φ is chi-square over degrees of freedom. Where it is above 2 the model does not explain "
         "the data, and no coefficient counts as identifiable."
     )
-    found: list[Block] = [*prior_tables(answer), *fit_tables(answer), Sentence(phi, "note")]
-    if budget := budget_tables(answer):
+    found: list[Block] = [
+        *tables.prior_tables(answer),
+        *tables.fit_tables(answer),
+        Sentence(phi, "note"),
+    ]
+    if budget := tables.budget_tables(answer):
         words = (
             "Each source: by how much the combined uncertainty would be smaller without it, as the "
             "root of the difference of squares, and its share of the combined variance. Sources "
@@ -480,11 +451,11 @@ def _certainty(answer: Result) -> list[Block]:
             "The prior is information: without it the uncertainty would be as stated."
         )
         found += [*budget, Sentence(words, "note")]
-    return [*found, *condition_tables(answer)]
+    return [*found, *tables.condition_tables(answer)]
 
 
 def _pairs(answer: Result, *, few: bool) -> list[Block]:
-    if not parameter_keys(answer.pairs):
+    if not tables.parameter_keys(answer.pairs):
         return [Sentence("No room-acoustic parameters to compare.")]
     words = (
         "In each cell: predicted minus measured in just noticeable differences, the two values "
@@ -499,7 +470,7 @@ def _pairs(answer: Result, *, few: bool) -> list[Block]:
     found: list[Block] = [Sentence(jnd, "", keys), Sentence(words)]
     if not few:
         found.append(Sentence("What is folded is not printed."))
-    for i, (title, shown) in enumerate(pair_sections(answer)):
+    for i, (title, shown) in enumerate(tables.pair_sections(answer)):
         found.append(Part(title, shown, folded=True, is_open=i < 2, on_paper=few))
     return found
 
