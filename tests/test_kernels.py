@@ -9,8 +9,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from roomfit.base.kernels import in_threads, kernel
+from roomfit.base.kernels import in_threads, keep_one_blas_thread, kernel, one_blas_thread
 from roomfit.base.typing import FloatArray
 
 
@@ -82,3 +83,31 @@ def test_no_kernel_is_compiled_twice_for_a_trace(tmp_path):
     times = {name: int(n) for name, n in (line.split() for line in done.stdout.splitlines())}
     assert times["_reflect"] == times["_trace_ray"] == 1
     assert {name for name, n in times.items() if n > 1} == set()
+
+
+def blas_threads() -> set[int]:
+    return {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"}
+
+
+_ORDERS = pytest.mark.skipif(not blas_threads(), reason="a BLAS that takes no orders")
+
+
+@one_blas_thread
+def inside(scale: float) -> tuple[set[int], float]:
+    """Return the threads and a product that they made."""
+    return blas_threads(), float(scale * np.ones(3) @ np.ones(3))
+
+
+@_ORDERS
+def test_linear_algebra_has_one_thread_inside_and_its_own_afterwards():
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert blas_threads() == {2}
+        assert inside(2.0) == ({1}, 6.0)
+        assert blas_threads() == {2}
+
+
+@_ORDERS
+def test_a_worker_keeps_one_thread():
+    with threadpool_limits(limits=2, user_api="blas"):
+        keep_one_blas_thread()
+        assert blas_threads() == {1}

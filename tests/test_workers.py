@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from cluster_tasks import number_into
-from roomfit.batch.cluster import cluster_pool, completed, result_of
+from cluster_tasks import die, number_into
+from roomfit.base.errors import InsufficientDataError
+from roomfit.batch.cluster import cluster_client, completed, result_of
 
 HELPERS = Path(__file__).parent / "helpers"
 
@@ -82,7 +83,7 @@ def test_an_own_cluster_listens_on_the_loopback_alone_and_ends_with_its_block(
     this = psutil.Process()
     before = {p.pid for p in this.children(recursive=True)}
     trimming = os.getenv("MALLOC_TRIM_THRESHOLD_")
-    with cluster_pool(n_workers=2) as executor:
+    with cluster_client(n_workers=2) as executor:
         family = [this, *(p for p in this.children(recursive=True) if p.pid not in before)]
         listening = [c for p in family for c in p.net_connections("inet") if c.status == "LISTEN"]
         assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
@@ -109,6 +110,18 @@ def _trackers(process: object) -> set[int]:
 
 
 @pytest.mark.slow
+def test_a_task_that_kills_its_workers_is_reported_and_all_others_are_done(tmp_path: Path) -> None:
+    """Three workers die of it, and alone three more; none of the others is blamed."""
+    with cluster_client(n_workers=2) as client:
+        tasks = [die, *(partial(number_into, tmp_path, n, 0.2) for n in range(6))]
+        ends = dict(completed(client, tasks))
+        with pytest.raises(InsufficientDataError, match="every worker that had the task died"):
+            result_of(ends.pop(0))
+        assert all(isinstance(result_of(future), int) for future in ends.values())
+    assert sorted(content(tmp_path)) == [f"{n}.txt" for n in range(6)]
+
+
+@pytest.mark.slow
 def test_what_dask_itself_says_of_a_dead_scheduler_is_not_printed(tmp_path: Path) -> None:
     """One sentence of ours, and no traceback of a library."""
     program = (
@@ -121,7 +134,7 @@ def test_what_dask_itself_says_of_a_dead_scheduler_is_not_printed(tmp_path: Path
         "folder = pathlib.Path(sys.argv[2])\n"
         "tasks = [partial(number_into, folder, n, 0.3) for n in range(100)]\n"
         "try:\n"
-        "    with workers.cluster_pool(scheduler=sys.argv[1]) as pool:\n"
+        "    with workers.cluster_client(scheduler=sys.argv[1]) as pool:\n"
         "        for _, future in workers.completed(pool, tasks):\n"
         "            workers.result_of(future)\n"
         "except RoomfitError as error:\n"

@@ -23,8 +23,3 @@ def number_into(folder: Path, number: int, seconds: float = 0.0) -> int:
 def die() -> None:
     """Kill the process at every call."""
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def fail(text: str) -> None:
-    """Raise."""
-    raise ValueError(text)

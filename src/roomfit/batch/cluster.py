@@ -11,37 +11,25 @@ import asyncio
 import logging
 import sys
 import time
-import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
 from multiprocessing import resource_tracker
-from typing import Any, TypeVar
-
-import numba
+from typing import Any
 
 from roomfit.base.errors import InputError, InsufficientDataError, StoreError
 from roomfit.base.forks import end_with_parent, interrupts_deferred
-from roomfit.base.kernels import keep_one_blas_thread
 
-T = TypeVar("T")
 _LOG, _NOTICE = logging.getLogger("roomfit"), 25
 
-# In the hands of an executor at once, for each of its threads: what waits costs a scheduler memory
-# and every look at all of them time, and so many keep a thread busy until others are handed on.
+# In the hands of the scheduler at once, for each thread of its workers: what waits costs it memory,
+# and so many keep a thread busy until others are handed on.
 TASKS_A_THREAD = 4
-# A cluster is asked no more often how many threads it has: workers come and go.
-_THREADS_FOR_S = 5.0
 _CONNECTING_S = 20
 # What a worker of the own cluster is given to end by itself.
 _ENDING_S = 0.5
@@ -49,24 +37,27 @@ _ENDING_S = 0.5
 _LIFETIME_S = 3600
 # A task that has taken so many workers with it is not given to another.
 _MOST_DEATHS = 2
-_DEATH = "KilledWorker"
 # A room takes 310 to 370 MB, and dask ends a worker at 95 % of its limit.
 LEAST_MEMORY_BYTES = 400_000_000
 # After so long without an end of a task, a message names who is waited for.
 _SILENCE_S = 60.0
-_ONE_THREAD = {
-    "NUMBA_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
+_OWN_CLUSTER: Mapping[str, object] = {
+    "distributed.scheduler.allowed-failures": _MOST_DEATHS,
+    # a task that waits at a worker would be blamed for its death, too
+    "distributed.scheduler.worker-saturation": 1.0,
+    # dask's 64 kB gives every array back to the system: two million page faults and half as much
+    # time again for a room
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # a hundred interruptions a second, for a page that nobody looks at
+    "distributed.worker.profile.enabled": False,
+    # a worker that dies is always started again; if it was just starting so long after a death,
+    # dask would take it for lost
+    "distributed.deploy.lost-worker-timeout": "365 days",
+    # a worker that pauses for want of memory waits for ever, since its only task holds it: it is
+    # ended at 95 %, and its task given to another
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.preload": ["roomfit.batch.cluster"],
 }
-
-
-def _check_workers(n_workers: int) -> None:
-    if n_workers < 1:
-        what = "number of workers is out of range"
-        hint = "leave workers out, or give the number of cores"
-        raise InputError(what, found=str(n_workers), needed="1 or more", hint=hint)
 
 
 def dask_setup(_: object) -> None:
@@ -74,75 +65,111 @@ def dask_setup(_: object) -> None:
     end_with_parent()
 
 
-def keep_one_thread() -> None:
-    """Give linear algebra and compiled kernels, as called from this thread, one thread."""
-    keep_one_blas_thread()
-    numba.set_num_threads(1)
-
-
-def completed(pool: Executor, tasks: Iterable[Callable[[], T]]) -> Iterator[tuple[int, Future[T]]]:
-    """Yield the number and the future of each task as it ends.
+def completed(client: Any, tasks: Iterable[Callable[[], object]]) -> Iterator[tuple[int, Any]]:
+    """Yield the number and dask's future of each task as it ends.
 
     Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
-    thread of the pool are submitted and not yet yielded. When the iterator is closed, those that
-    wait are dropped. After a minute in which none ends, a message names the workers of a cluster
-    that are waited for.
+    thread of the workers are submitted and not yet yielded. When the iterator is closed, those that
+    wait are dropped. After a minute in which none ends, a message names the workers that are waited
+    for.
 
     Dask blames a worker's death on every task that was given to it, those that only waited there
     included. A task given up for it is therefore tried once more when no other is left that could
     be the cause.
+
+    Raises
+    ------
+    StoreError
+        The connection to the scheduler is lost.
     """
+    distributed = _distributed()
     waiting = enumerate(tasks)
-    running: dict[Future[T], tuple[int, Callable[[], T]]] = {}
-    given_up: deque[tuple[int, Callable[[], T]]] = deque()
+    running: dict[Any, tuple[int, Callable[[], object]]] = {}
+    given_up: deque[tuple[int, Callable[[], object]]] = deque()
     since, alone = time.strftime("%H:%M:%S"), False
     try:
         while True:
-            room = max(0, TASKS_A_THREAD * _threads(pool) - len(running))
-            with interrupts_deferred():
-                for number, task in islice(waiting, room):
-                    running[pool.submit(task)] = number, task
-                alone = alone or not running
-                if given_up and not running:
-                    number, task = given_up.popleft()
-                    running[pool.submit(task)] = number, task
+            n_threads = max(1, sum(client.nthreads().values()))
+            for number, task in islice(waiting, max(0, TASKS_A_THREAD * n_threads - len(running))):
+                running[client.submit(task, pure=False)] = number, task
+            alone = alone or not running
+            if given_up and not running:
+                number, task = given_up.popleft()
+                running[client.submit(task, pure=False)] = number, task
             if not running:
                 return
-            done, _ = wait(running, _SILENCE_S, return_when=FIRST_COMPLETED)
-            if done:
-                since = time.strftime("%H:%M:%S")
-            elif isinstance(pool, _ClusterExecutor):
-                _LOG.log(_NOTICE, "waiting for %s since %s", pool.at_work(), since)
+            try:
+                with client.as_current():
+                    done, _ = distributed.wait([*running], _SILENCE_S, "FIRST_COMPLETED")
+            except TimeoutError:
+                _LOG.log(_NOTICE, "waiting for %s since %s", _at_work(client), since)
+                continue
+            since = time.strftime("%H:%M:%S")
             for future in done:
                 number, task = running.pop(future)
                 if not alone and _died(future):
                     given_up.append((number, task))
                 else:
                     yield number, future
+    except (CancelledError, OSError) as error:  # also of dask itself, when its scheduler is gone
+        raise StoreError(
+            "the connection to the scheduler is lost",
+            found="tasks were cancelled",
+            hint="run the same command again: what is done is not done again",
+        ) from error
     finally:
-        for future in running:
-            future.cancel()
+        with suppress(Exception):
+            client.cancel([*running])
 
 
-def _threads(pool: Executor) -> int:
-    if isinstance(pool, _ClusterExecutor):
-        return pool.threads()
-    return int(getattr(pool, "_max_workers", 1))  # it has no public name
-
-
-def _died(future: Future[Any]) -> bool:
+def _died(future: Any) -> bool:
     """Whether all workers that had a task have died."""
-    return not future.cancelled() and type(future.exception()).__name__ == _DEATH
+    return future.status == "error" and type(future.exception()).__name__ == "KilledWorker"
+
+
+def result_of(future: Any) -> Any:
+    """Return what a task returned, or raise what it raised.
+
+    Raises
+    ------
+    InsufficientDataError
+        Every worker that had the task died of it.
+    """
+    if _died(future):
+        deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
+        raise InsufficientDataError(
+            "every worker that had the task died",
+            found=f"{deaths} of them",
+            hint="memory is the usual reason: fewer workers on a machine leave more for each",
+        )
+    return future.result()
+
+
+def _at_work(client: Any) -> str:
+    """Return the workers that have tasks, and which of them do not go on with theirs."""
+    try:
+        busy = client.processing()
+        known = client.scheduler_info(n_workers=-1)["workers"]
+    except Exception as error:  # noqa: BLE001 -- a message, whatever ails the scheduler
+        return f"the scheduler, which does not answer ({type(error).__name__})"
+    found = []
+    for address in (address for address, tasks in busy.items() if tasks):
+        own = known.get(address, {})
+        paused = ", paused: its memory is full" * (own.get("status") == "paused")
+        silent_s = time.time() - own.get("last_seen", time.time())
+        silent = f", silent for {silent_s:.0f} s" if silent_s > _SILENCE_S / 2.0 else ""
+        found.append(f"worker {address}{paused}{silent}")
+    return "; ".join(found[:5]) or "workers, of which none has a task"
 
 
 @contextmanager
-def cluster_pool(
+def cluster_client(
     *,
     scheduler: str | None = None,
     n_workers: int = 1,
     warm: Callable[[], object] | None = None,
-) -> Iterator[Executor]:
-    """Give an executor whose tasks are carried out by the workers of a dask cluster.
+) -> Iterator[Any]:
+    """Give a client of dask, for `completed`.
 
     A task whose worker dies is given to another, up to three times, and then alone as often. Dask's
     own configuration (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds,
@@ -165,7 +192,9 @@ def cluster_pool(
         dask.distributed is not installed, no scheduler answers, it has no workers, or these run
         another version of Python, roomfit or numba, or have too little memory for a room.
     """
-    _check_workers(n_workers)
+    if n_workers < 1:
+        what, hint = "number of workers is out of range", "give the number of cores"
+        raise InputError(what, found=str(n_workers), needed="1 or more", hint=hint)
     distributed = _distributed()
     with _without_dasks_messages(), ExitStack() as stack:
         address = scheduler if scheduler is not None else _own_cluster(stack, n_workers)
@@ -190,7 +219,16 @@ def cluster_pool(
             found = client.scheduler_info(n_workers=-1)["workers"]
             one_a_machine = {worker["host"]: address for address, worker in found.items()}
             client.run(warm, workers=list(one_a_machine.values()))
-        yield _ClusterExecutor(client)
+        yield client
+
+
+def _distributed() -> Any:
+    try:
+        return import_module("distributed")
+    except ImportError as error:
+        what = "a cluster needs a package that is not installed"
+        hint = "pip install 'roomfit[cluster]'"
+        raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
 
 
 @contextmanager
@@ -212,25 +250,6 @@ def _without_dasks_messages() -> Iterator[None]:
             logger.disabled = was
 
 
-_OWN_CLUSTER: Mapping[str, object] = {
-    "distributed.scheduler.allowed-failures": _MOST_DEATHS,
-    # a task that waits at a worker would be blamed for its death, too
-    "distributed.scheduler.worker-saturation": 1.0,
-    # dask's 64 kB gives every array back to the system: two million page faults and half as much
-    # time again for a room
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
-    # a hundred interruptions a second, for a page that nobody looks at
-    "distributed.worker.profile.enabled": False,
-    # a worker that dies is always started again; if it was just starting so long after a death,
-    # dask would take it for lost
-    "distributed.deploy.lost-worker-timeout": "365 days",
-    # a worker that pauses for want of memory waits for ever, since its only task holds it: it is
-    # ended at 95 %, and its task given to another
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.preload": ["roomfit.batch.cluster"],
-}
-
-
 def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
     """Return a cluster of processes on this machine that ends with a stack."""
     import dask
@@ -244,6 +263,7 @@ def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
     # the thread that starts workers, now and after deaths, is made here and passes on that it gets
     # no interrupts; it would get them again if it were the first to start this tracker
     resource_tracker.ensure_running()
+    of_each = ("NUMBA", "OMP", "OPENBLAS", "MKL")
     with interrupts_deferred():
         cluster = _distributed().LocalCluster(
             n_workers=n_workers,
@@ -253,7 +273,7 @@ def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
             host="127.0.0.1",
             # without an address its web server would listen to the whole network
             dashboard_address="127.0.0.1:0",
-            env=_ONE_THREAD,
+            env={f"{name}_NUM_THREADS": "1" for name in of_each},
             lifetime=f"{_LIFETIME_S} seconds",
             lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
             lifetime_restart=True,
@@ -269,14 +289,14 @@ async def _ended_at_once(cluster: Any) -> None:
     await asyncio.gather(*(nanny.close(timeout=_ENDING_S) for nanny in cluster.workers.values()))
 
 
-def check_memory(limit_bytes: int, where: str, hint: str) -> None:
-    """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit.
+def _quietly(end: Callable[[], object]) -> None:
+    """Dask's book of workers may be in disorder after deaths, and fail; all results are there."""
+    with suppress(Exception):
+        end()
 
-    Raises
-    ------
-    InputError
-        The limit is below `LEAST_MEMORY_BYTES`.
-    """
+
+def check_memory(limit_bytes: int, where: str, hint: str) -> None:
+    """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit."""
     if 0 < limit_bytes < LEAST_MEMORY_BYTES:
         raise InputError(
             "a worker has too little memory for a room",
@@ -287,97 +307,11 @@ def check_memory(limit_bytes: int, where: str, hint: str) -> None:
         )
 
 
-def _quietly(end: Callable[[], object]) -> None:
-    """Dask's book of workers may be in disorder after deaths, and fail; all results are there."""
-    with suppress(Exception):
-        end()
-
-
-class _ClusterExecutor(Executor):
-    """Tasks of a dask client as futures of the standard library.
-
-    Dask's own executor fails where a worker dies between the end of a task and the way of its
-    result; here the result is waited for until another worker has done the task again.
-    """
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._n_threads, self._asked_s = 1, -_THREADS_FOR_S
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        outer: Future[Any] = Future()
-        inner = self._client.submit(partial(fn, *args, **kwargs), pure=False)
-        # two futures that hold each other stay until the collector comes, and what the scheduler
-        # keeps of the task with them
-        known = weakref.ref(inner)
-        outer.add_done_callback(partial(_called_off, known))
-        inner.add_done_callback(partial(_handed_on, outer))
-        return outer
-
-    def threads(self) -> int:
-        """Return how many threads the workers have together, as asked a few seconds ago at most."""
-        if time.monotonic() - self._asked_s >= _THREADS_FOR_S:
-            # of a scheduler that does not answer the tasks will be lost, and that is reported
-            with suppress(Exception):
-                self._n_threads = max(1, sum(self._client.nthreads().values()))
-            self._asked_s = time.monotonic()
-        return self._n_threads
-
-    def at_work(self) -> str:
-        """Return the workers that have tasks, and which of them do not go on with theirs."""
-        try:
-            busy = self._client.processing()
-            known = self._client.scheduler_info(n_workers=-1)["workers"]
-        except Exception as error:  # noqa: BLE001 -- a message, whatever ails the scheduler
-            return f"the scheduler, which does not answer ({type(error).__name__})"
-        found = []
-        for address, tasks in busy.items():
-            own = known.get(address, {})
-            paused = ", paused: its memory is full" * (own.get("status") == "paused")
-            silent_s = time.time() - own.get("last_seen", time.time())
-            silent = f", silent for {silent_s:.0f} s" if silent_s > _SILENCE_S / 2.0 else ""
-            if tasks:
-                found.append(f"worker {address}{paused}{silent}")
-        return "; ".join(found[:5]) or "workers, of which none has a task"
-
-
-def _called_off(known: weakref.ref[Any], outer: Future[Any]) -> None:
-    """Drop a task of dask whose future here was cancelled."""
-    inner = known() if outer.cancelled() else None
-    if inner is not None:
-        inner.cancel()
-
-
-def _handed_on(outer: Future[Any], inner: Any) -> None:
-    """Let a future end as that of dask has."""
-    try:
-        if not outer.cancelled():
-            outer.set_result(inner.result())
-    except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
-        lost = isinstance(error, (CancelledError, OSError)) and inner.status != "error"
-        if not lost:
-            outer.set_exception(error)
-        elif outer.cancel():
-            outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as error:
-        what = "a cluster needs a package that is not installed"
-        hint = "pip install 'roomfit[cluster]'"
-        raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
-    return distributed
-
-
 def about_this_process() -> dict[str, str]:
     """Return the versions that decide numbers."""
-    python = ".".join(str(part) for part in sys.version_info[:2])
-    return {
-        "Python": python,
-        **{name: version(name) for name in ("roomfit", "numba", "numpy", "scipy")},
-    }
+    names = ("roomfit", "numba", "numpy", "scipy")
+    python = ".".join(map(str, sys.version_info[:2]))
+    return {"Python": python, **{name: version(name) for name in names}}
 
 
 def _check_alike(client: Any, scheduler: str | None) -> None:
@@ -418,29 +352,3 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
                 needed=", ".join(f"{name} {here[name]}" for name in other),
                 hint="install the same on both sides; answers would depend on who computed them",
             )
-
-
-def result_of(future: Future[T]) -> T:
-    """Return what a task returned, or raise what it raised.
-
-    Raises
-    ------
-    InsufficientDataError
-        Every worker that had the task died of it.
-    StoreError
-        The connection to the scheduler is lost.
-    """
-    if future.cancelled():
-        raise StoreError(
-            "the connection to the scheduler is lost",
-            found="tasks were cancelled",
-            hint="run the same command again: what is done is not done again",
-        )
-    if _died(future):
-        deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
-        raise InsufficientDataError(
-            "every worker that had the task died",
-            found=f"{deaths} of them",
-            hint="memory is the usual reason: fewer workers on a machine leave more for each",
-        )
-    return future.result()

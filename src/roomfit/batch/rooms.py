@@ -13,22 +13,23 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
+import numba
 import numpy as np
 
 from roomfit.base.door import complete
 from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
+from roomfit.base.kernels import keep_one_blas_thread
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
-from roomfit.batch.cluster import completed, keep_one_thread, result_of
+from roomfit.batch.cluster import completed, result_of
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.encoding import input_digests, written_content
@@ -42,6 +43,7 @@ _LOG = logging.getLogger("roomfit")
 # "elsewhere": another run is at it, so that this one has left it
 Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
 ROOMS, FAILURES = "rooms", "failures"
+_ELSEWHERE = "another run is identifying this room"
 # Where the field quotes one number for a room.
 _MIDDLE_HZ = (500.0, 1000.0)
 _COLUMNS: tuple[str | Column, ...] = (
@@ -147,7 +149,7 @@ def identify_rooms(
     campaigns: Sequence[Path],
     out: Path,
     *,
-    pool: Executor | None = None,
+    client: Any = None,
     shard: tuple[int, int] = (1, 1),
     quick: bool = False,
     progress: Progress | None = None,
@@ -162,9 +164,9 @@ def identify_rooms(
     ----------
     campaigns : sequence of Path
     out : Path
-        A folder, made if needed; it may hold results of this and of other batches. With a pool of
-        several machines all of them must reach it, and the campaigns, by the same paths.
-    pool : Executor, optional
+        A folder, made if needed; it may hold results of this and of other batches. With several
+        machines all of them must reach it, and the campaigns, by the same paths.
+    client : dask client, optional
         See `roomfit.batch.cluster`; by default one room after the other in this process.
     shard : tuple of int
         i and n: only every n-th room from the i-th is identified; the table shows all.
@@ -194,80 +196,72 @@ def identify_rooms(
     jobs = [
         partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
     ]
-    elsewhere: dict[str, str] = {}
+    elsewhere: set[str] = set()
     try:
-        for n_done, (number, status, message) in enumerate(_ends(jobs, pool), start=1):
+        for n_done, (number, (status, message)) in enumerate(_ends(jobs, client), start=1):
             _LOG.info("%s: %s", missing[number].name, status)
-            _note(out, missing[number], status, message)
-            if status == "elsewhere":
-                elsewhere[missing[number].address] = message
+            address = missing[number].address
+            record = out / FAILURES / f"{address}.json"
+            # why a room has no answer, for the tables of other runs
+            if status == "done":
+                record.unlink(missing_ok=True)
+            elif status == "elsewhere":
+                elsewhere.add(address)
+            else:
+                write_json_atomically(record, {"status": status, "message": message})
             if progress is not None:
                 progress(n_done / len(jobs))
     finally:
-        rows = tuple(room_row(out, task) for task in tasks)
         rows = tuple(
-            replace(row, status="elsewhere", message=elsewhere[task.address])
+            RoomRow(task.name, "elsewhere", message=_ELSEWHERE)
             if row.status == "waiting" and task.address in elsewhere
             else row
-            for row, task in zip(rows, tasks, strict=True)
+            for task, row in ((task, room_row(out, task)) for task in tasks)
         )
-        write_table(out, rows)
+        _write_table(out, rows)
     return rows
 
 
-def identify_room(campaign: Path, folder: Path, *, quick: bool = False) -> str:
-    """Identify one room into a folder; return why there is no answer, or "".
+def identify_room(
+    campaign: Path, folder: Path, *, quick: bool = False, alone: bool = True
+) -> tuple[Status, str]:
+    """Identify one room into a folder; return how it ended, and why there is no answer.
 
-    Where the folder has come into being meanwhile, by whomever, it stays as it is.
+    Where the folder has come into being meanwhile, by whomever, it stays as it is. Not `alone`,
+    others have the other processors, and linear algebra and kernels keep to one thread. The disk's
+    errors are raised: it would be the same for every room.
     """
+    if not alone:
+        keep_one_blas_thread()
+        numba.set_num_threads(1)
     try:
         identify_to_folder(campaign, folder, quick=quick)
-    except (StoreError, FolderInUseError):
+    except StoreError:
         raise
+    except FolderInUseError:
+        return "elsewhere", _ELSEWHERE
     except RoomfitError as error:
-        return "" if folder.exists() else str(error)
-    return ""
+        return ("done", "") if folder.exists() else ("refused", str(error))
+    except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
+        return "failed", f"{type(error).__name__}: {error}"
+    return "done", ""
 
 
 def _ends(
-    jobs: Sequence[Callable[[], str]], pool: Executor | None
-) -> Iterator[tuple[int, Status, str]]:
-    """Do all jobs, here or in a pool; yield number, status and message of each as it ends."""
-    if pool is None:
-        for number, job in enumerate(jobs):
-            yield number, *_end(job)
+    jobs: Sequence[Callable[..., tuple[Status, str]]], client: Any
+) -> Iterator[tuple[int, tuple[Status, str]]]:
+    """Do all jobs, here or by a cluster; yield the number and the end of each."""
+    if client is None:
+        yield from ((number, job()) for number, job in enumerate(jobs))
         return
-    for number, future in completed(pool, (partial(_with_one_thread, job) for job in jobs)):
-        yield number, *_end(partial(result_of, future))
-
-
-def _with_one_thread(job: Callable[[], str]) -> str:
-    """Do a job in a worker, beside which others have the other processors."""
-    keep_one_thread()
-    return job()
-
-
-def _end(job: Callable[[], str]) -> tuple[Status, str]:
-    try:
-        message = job()
-    except StoreError:
-        raise  # the disk, or the way to the cluster: it would be the same for every room
-    except FolderInUseError:
-        return "elsewhere", "another run is identifying this room"
-    except RoomfitError as error:
-        return "failed", str(error)
-    except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
-        return "failed", f"{type(error).__name__}: {error}"
-    return ("refused", message) if message else ("done", "")
-
-
-def _note(out: Path, task: RoomTask, status: Status, message: str) -> None:
-    """Keep why a room has no answer, for the tables of other runs; forget it when it has one."""
-    path = out / FAILURES / f"{task.address}.json"
-    if status == "done":
-        path.unlink(missing_ok=True)
-    elif status != "elsewhere":
-        write_json_atomically(path, {"status": status, "message": message})
+    for number, future in completed(client, [partial(job, alone=False) for job in jobs]):
+        try:
+            yield number, result_of(future)
+        except StoreError:
+            raise
+        except Exception as error:  # noqa: BLE001 -- workers that died, or could not begin
+            own = isinstance(error, RoomfitError)
+            yield number, ("failed", str(error) if own else f"{type(error).__name__}: {error}")
 
 
 def room_row(out: Path, task: RoomTask) -> RoomRow:
@@ -337,16 +331,15 @@ def _decay_s(pairs: Sequence[Any], middle: Any) -> tuple[float, float]:
     return np.nan, np.nan
 
 
-def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
-    """Write ``rooms.csv`` and ``rooms.html``, whole.
-
-    Raises
-    ------
-    StoreError
-        The disk refuses.
-    """
-    records = Table("", _COLUMNS, [*map(_record, rows)])
-    write_text_atomically(out / "rooms.csv", csv_of(records))
+def _write_table(out: Path, rows: Sequence[RoomRow]) -> None:
+    """Write ``rooms.csv`` and ``rooms.html``, whole."""
+    records = []
+    for row in rows:
+        report = f"{row.folder}/report.html" if row.folder else ""
+        numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
+        findings, message = " ".join(row.findings), " ".join(row.message.split())
+        records.append((row.name, row.status, report, *numbers, findings, row.seconds, message))
+    write_text_atomically(out / "rooms.csv", csv_of(Table("", _COLUMNS, records)))
     shown = Blocks("Rooms", (Sentence(counted(rows), "lead"), _page_table(rows)), ())
     write_text_atomically(out / "rooms.html", page(shown))
 
@@ -356,14 +349,6 @@ def counted(rows: Sequence[RoomRow]) -> str:
     kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting", "elsewhere")
     numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
     return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
-
-
-def _record(row: RoomRow) -> tuple[Value, ...]:
-    """Return a row of rooms.csv."""
-    report = f"{row.folder}/report.html" if row.folder else ""
-    numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
-    findings, message = " ".join(row.findings), " ".join(row.message.split())
-    return (row.name, row.status, report, *numbers, findings, row.seconds, message)
 
 
 def _page_table(rows: Sequence[RoomRow]) -> Table:

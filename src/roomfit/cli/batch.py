@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from roomfit.batch.cluster import cluster_pool
+from roomfit.batch.cluster import cluster_client
 from roomfit.batch.rooms import campaign_paths, identify_rooms, rooms_text
 from roomfit.cli.terminal import say
 from roomfit.identify import compile_kernels
@@ -21,12 +21,14 @@ def run(options: argparse.Namespace) -> None:
                 paths, out, shard=options.shard, quick=options.quick, progress=progress
             )
         else:
-            with cluster_pool(
+            with cluster_client(
                 scheduler=options.scheduler,
                 n_workers=options.workers or 1,
                 warm=compile_kernels,
-            ) as pool:
-                rows = identify_rooms(paths, out, pool=pool, quick=options.quick, progress=progress)
+            ) as client:
+                rows = identify_rooms(
+                    paths, out, client=client, quick=options.quick, progress=progress
+                )
     say(rooms_text(rows))
     say(f"\nrooms.html, rooms.csv and a folder of each room are in {out}")
     if any(row.status in ("refused", "failed") for row in rows):
