@@ -14,10 +14,10 @@ from roomfit.files.draft import (
     draft_campaign,
     likely_units,
     likely_up,
-    matching_files,
     plausible_units,
     read_positions,
 )
+from roomfit.files.file_names import matching_files
 from roomfit.files.rooms import read_model
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.formats.model import METRES_PER_UNIT

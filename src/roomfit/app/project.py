@@ -19,7 +19,8 @@ from roomfit.base.errors import InputError
 from roomfit.base.whole_files import write_text_atomically
 from roomfit.cli.export import export_result
 from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
-from roomfit.files.draft import Positions, draft_campaign, matching_files, read_positions
+from roomfit.files.draft import Positions, draft_campaign, read_positions
+from roomfit.files.file_names import matching_files
 from roomfit.files.edits import (
     Edit,
     edited_text,

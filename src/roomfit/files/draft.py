@@ -6,11 +6,10 @@ in a comment beside it.
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,16 +17,15 @@ import numpy as np
 
 from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
-from roomfit.base.errors import InputError, located
+from roomfit.base.errors import InputError
 from roomfit.base.polygon import area_vector_m2
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import FILL_IN
+from roomfit.files.edits import value_text
 from roomfit.files.encoding import one_line
-from roomfit.files.file_names import files_of_shape, shape_of
-from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.rooms.model import RoomSpec
-from roomfit.files.tables import table_rows
+from roomfit.files.tables import number_in, table_rows
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.room.audience import audience_area_m2
@@ -37,11 +35,15 @@ from roomfit.room.scene import is_level_by_name, material_areas, surface_materia
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
 _LEAST_M, _HIGHEST_M, _LONGEST_M, _LARGEST_M3 = 1.5, 20.0, 150.0, 60_000.0
 _UNITS = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
-    **dict.fromkeys(("ft", "foot", "feet"), "ft"),
-    **dict.fromkeys(("in", "inch", "inches"), "in"),
+    word: unit
+    for unit, words in {
+        "m": "m meter meters metre metres",
+        "mm": "mm millimeter millimeters millimetre millimetres",
+        "cm": "cm centimeter centimeters centimetre centimetres",
+        "ft": "ft foot feet",
+        "in": "in inch inches",
+    }.items()
+    for word in words.split()
 }
 _STATED_UNIT = re.compile(r"\bunits?\b\W{0,4}([a-z]+)", re.IGNORECASE)
 _HEADER_BYTES = 4096
@@ -127,41 +129,32 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
     """
     delimiter, rows = table_rows(path, "table of positions")
     found: dict[str, tuple[float, float, float]] = {}
-    factor = 1.0
+    factor, needed = 1.0, "a name that stands once, and x, y, z"
     for place, (number, cells) in enumerate(rows):
-        try:
-            numbers = [float(c.replace(",", ".")) for c in cells[1:4]]
-        except ValueError:
-            numbers = []
-        if (
-            delimiter == ","
-            and len(cells) == 7
-            and all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
-        ):
+        where, line = f"{path}, line {number}", repr(delimiter.join(cells))
+        are_whole = all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
+        if delimiter == "," and len(cells) == 7 and are_whole:
             raise InputError(
                 "decimal commas cannot be distinguished from commas between columns",
-                where=f"{path}, line {number}",
-                found=repr(",".join(cells)),
+                where=where,
+                found=line,
                 needed="semicolons or tabs between columns, or decimal points",
                 hint="save the table with semicolons",
             )
-        if len(numbers) == 3 and np.all(np.isfinite(numbers)) and cells[0] not in found:
-            x, y, z = (factor * n for n in numbers)
-            found[cells[0]] = (round(x, 6), round(y, 6), round(z, 6))
-        elif found or place:
-            raise InputError(
-                "a line of the table of positions is not understood",
-                where=f"{path}, line {number}",
-                found=repr(delimiter.join(cells)),
-                needed="a name that stands once, and x, y, z",
-                hint="correct the line, or remove it",
-            )
-        else:
-            words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
-            units = [_UNITS[w] for w in words if w in _UNITS]
-            # "x in cm" is centimetres
-            unit = next((u for u in units if u != "in"), units[0] if units else "m")
-            factor = METRES_PER_UNIT[unit]
+        with suppress(InputError, ValueError):  # no number, or not three cells
+            x, y, z = (number_in(c.replace(",", "."), where, needed) for c in (*cells, "")[1:4])
+            if cells[0] not in found:
+                found[cells[0]] = (round(factor * x, 6), round(factor * y, 6), round(factor * z, 6))
+                continue
+        if found or place:
+            what = "a line of the table of positions is not understood"
+            hint = "correct the line, or remove it"
+            raise InputError(what, where=where, found=line, needed=needed, hint=hint)
+        words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
+        units = [_UNITS[w] for w in words if w in _UNITS]
+        # "x in cm" is centimetres
+        unit = next((u for u in units if u != "in"), units[0] if units else "m")
+        factor = METRES_PER_UNIT[unit]
     if not found:
         raise InputError(
             "the table of positions is empty",
@@ -171,107 +164,6 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
             hint="write one line for each source or receiver, as S1,1.2,3.4,1.5",
         )
     return found
-
-
-def matching_files(
-    folder: Path, template: str | None, known: Iterable[str] = ()
-) -> dict[str, tuple[str, str]]:
-    """Return source and receiver by the name of each recording, relative to a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    template : str or None
-        As in ``"responses/{source}_{receiver}.wav"``; * stands for any text. None: of
-        `recordings_in` the folder those whose names hold two of the known ones, the source first;
-        where none does, those of that shape, if most have it, else all of one source.
-    known : iterable of str
-        Names of sources and receivers. The case of letters does not matter. A name that may be
-        split at several places is split where both parts are known.
-
-    Raises
-    ------
-    InputError
-        The template lacks {source} or {receiver}, or no file has its shape; or several folders
-        hold recordings.
-    """
-    if template is None:
-        names = recordings_in(folder)
-        pairs = {name: _known_in(Path(name).stem, known) for name in names}
-        if any(len(pair) == 2 for pair in pairs.values()):
-            return {name: (pair[0], pair[1]) for name, pair in pairs.items() if len(pair) == 2}
-        split = {name: Path(name).stem.partition("_") for name in names}
-        found = {name: (a, b) for name, (a, mark, b) in split.items() if a and mark and b}
-        mostly = len(found) >= _MOST_NAMES * len(names)
-        return found if mostly else {name: ("S1", Path(name).stem) for name in names}
-    with located("--recordings"):
-        names, spelled = files_of_shape(folder, template), {n.casefold(): n for n in known}
-        shapes = [shape_of(template, one_of=spelled.values())] if spelled else []
-        shapes.append(shape_of(template))
-    if not names:
-        below = Path(template).parent
-        raise InputError(
-            "no recording has a name of this shape",
-            where=str(folder / below),
-            found=in_short(_recordings(folder / below)) or "no recordings",
-            needed=template,
-            hint="put {source} and {receiver} where names differ, and * for other text",
-        )
-    matches = (next(filter(None, (s.fullmatch(name) for s in shapes)), None) for name in names)
-    found = {m[0]: (m["source"], m["receiver"]) for m in matches if m}
-    return {
-        k: (spelled.get(a.casefold(), a), spelled.get(b.casefold(), b))
-        for k, (a, b) in found.items()
-    }
-
-
-_MOST_NAMES = 2 / 3
-
-
-def _known_in(stem: str, known: Iterable[str]) -> list[str]:
-    """Return the known names that a file's name holds as whole words, in their order in it."""
-    # some file systems take letters and their dots apart
-    text = unicodedata.normalize("NFC", stem)
-    starts = {}
-    for name in sorted(known, key=len, reverse=True):
-        word = re.escape(unicodedata.normalize("NFC", name))
-        match = re.search(rf"(?<![^\W_]){word}(?![^\W_])", text, re.IGNORECASE)
-        if match:
-            starts[match.start()] = name
-            text = text[: match.start()] + " " * len(match[0]) + text[match.end() :]
-    return [starts[at] for at in sorted(starts)]
-
-
-def recordings_in(folder: Path) -> list[str]:
-    """Return recordings by their endings, relative to a folder; else those one folder below it.
-
-    Raises
-    ------
-    InputError
-        There are none in the folder, and in several below it.
-    """
-    own = _recordings(folder)
-    if own or not folder.is_dir():
-        return own
-    below = {sub.name: _recordings(sub) for sub in sorted(folder.iterdir()) if sub.is_dir()}
-    filled = {name: files for name, files in below.items() if files and name[0] != "."}
-    if len(filled) > 1:
-        raise InputError(
-            "several folders hold recordings",
-            where=str(folder),
-            found=in_short([f"{name} ({len(files)} files)" for name, files in filled.items()]),
-            needed="--recordings 'DIR/{source}_{receiver}.wav', of one of them",
-            hint="or move the recordings into one folder",
-        )
-    return [f"{name}/{file}" for name, files in filled.items() for file in files]
-
-
-def _recordings(folder: Path) -> list[str]:
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    files = [f for f in files if f.is_file() and not f.name.startswith(".")]
-    chosen = [f for f in files if f.suffix.lower() in RESPONSE_SUFFIXES]
-    # exports of REW are texts, and not every text is one
-    return [f.name for f in chosen if f.suffix.lower() != ".txt"] or [f.name for f in chosen]
 
 
 def draft_campaign(
@@ -308,88 +200,68 @@ def draft_campaign(
     InputError
         The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
-    first = "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:"
     if decay_times is not None:
-        lines = [
-            first,
-            "#   roomfit reverberation campaign.toml",
-            "#   roomfit predict campaign.toml --set MATERIAL=0.6 --out predicted",
-            "",
-            "[room]",
-            *_room_lines(room, folder, because, is_known=True),
-            "",
-            "[reverberation]",
-            f"file = {_quoted(_beside(folder, decay_times))}",
-            "",
-            *_project_lines(folder),
+        commands = (
+            "reverberation campaign.toml",
+            "predict campaign.toml --set MATERIAL=0.6 --out predicted",
+        )
+        table = f"file = {value_text(_beside(folder, decay_times))}"
+        before, fitted = [], ["[reverberation]", table]
+        after = []
+    else:
+        commands = ("check campaign.toml", "identify campaign.toml --out result")
+        before = [] if template is None else [f"recordings = {value_text(template)}", ""]
+        after = [
+            *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
+            *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
+            *_measurement_lines(recordings, template),
         ]
-        return "\n".join(lines) + "\n"
+        fitted = ["[identify]", "from_hz = 125", "to_hz = 4000"]
+    is_known = decay_times is not None
     lines = [
-        first,
-        "#   roomfit check campaign.toml",
-        "#   roomfit identify campaign.toml --out result",
+        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+        *(f"#   roomfit {command}" for command in commands),
         "",
-        *([f"recordings = {_quoted(template)}", ""] if template is not None else []),
+        *before,
         "[room]",
-        *_room_lines(room, folder, because, positions),
-        *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
-        *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
-        *_measurement_lines(recordings, template),
+        *_room_lines(room, folder, because, positions or {}, is_known=is_known),
+        *after,
         "",
-        "[identify]",
-        "from_hz = 125",
-        "to_hz = 4000",
+        *fitted,
         "",
-        *_project_lines(folder),
+        "# what stands above the report",
+        "[project]",
+        f"title = {value_text(one_line(folder.resolve().name)[:120].strip() or 'Room')}",
+        *(f'# {key} = ""' for key in ("client", "author", "date")),
     ]
     return "\n".join(lines) + "\n"
 
 
-_LONGEST_TITLE = 120
-
-
-def _project_lines(folder: Path) -> list[str]:
-    """Return the table of the report's headings: the folder's name, the others left to fill in."""
-    return [
-        "# what stands above the report",
-        "[project]",
-        f"title = {_quoted(one_line(folder.resolve().name)[:_LONGEST_TITLE].strip() or 'Room')}",
-        '# client = ""',
-        '# author = ""',
-        '# date = ""',
-    ]
-
-
 def _room_lines(
-    room: RoomSpec | None,
-    folder: Path,
-    because: str,
-    positions: Positions | None = None,
-    *,
-    is_known: bool = False,
+    room: RoomSpec | None, folder: Path, because: str, positions: Positions, *, is_known: bool
 ) -> list[str]:
+    """Return the room, its materials, and what stands in it; an object's area may be known."""
     if room is None:
         return [f'shoebox = "{FILL_IN}"  # lengths along x, y, z in m; or file = "room.obj"']
     if room.file is None:
-        lengths = room.shoebox or (0.0, 0.0, 0.0)
-        unit = [f"unit = {_quoted(room.unit)}"] if room.unit not in (None, "m") else []
-        lines = [f"shoebox = [{', '.join(f'{x:g}' for x in lengths)}]", *unit]
-        materials = {"walls": "walls", "floor": "floor", "ceiling": "ceiling"}
+        unit = [f"unit = {value_text(room.unit)}"] if room.unit not in (None, "m") else []
+        lines = [f"shoebox = [{', '.join(f'{x:g}' for x in room.shoebox or ())}]", *unit]
+        materials = {name: name for name in ("walls", "floor", "ceiling")}
         mesh, _ = read_mesh(room)
-        check_unit(mesh, positions or {})
+        check_unit(mesh, positions)
         lines += ["", "# which material is where: south, north, east and west are the walls"]
-        lines += ["[room.materials]", *(f"{k} = {_quoted(v)}" for k, v in materials.items())]
+        lines += ["[room.materials]", *(f"{k} = {value_text(v)}" for k, v in materials.items())]
         return [*lines, *_material_lines(mesh, materials)]
     model, _ = read_model(room)
     spec, lines = _in_known_unit(room, model, because)
-    space = [] if room.space is None else [f"space = {_quoted(room.space)}"]
-    lines = [f"file = {_quoted(_beside(folder, room.file))}", *space, *lines]
+    space = [] if room.space is None else [f"space = {value_text(room.space)}"]
+    lines = [f"file = {value_text(_beside(folder, room.file))}", *space, *lines]
     mesh, _ = read_mesh(spec)
-    check_unit(mesh, positions or {})
+    check_unit(mesh, positions)
     bare = [s.name for s in mesh.surfaces if s.file_material is None]
     if bare:
         lines += ["", "# surfaces without a material in the file", "[room.materials]"]
-        lines += [f'{_quoted(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
+        lines += [f'{value_text(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
     is_turned = (spec.unit, spec.up) != (model.unit, model.up)
     things = [] if is_turned else _thing_lines(model.things, mesh, is_known=is_known)
     return [*lines, *_material_lines(mesh, {}), *things]
@@ -405,16 +277,16 @@ def _thing_lines(things: Sequence[Thing], mesh: Mesh, *, is_known: bool) -> list
     lines: list[str] = []
     for kind, entry in _AS_SEATS.items():
         own = [t for t in things if t.kind == kind and len(t.outline_m)]
-        if not own:
-            continue
-        table = [
-            f"[objects.{_quoted(kind)}]  # {len(own)} by the scan",
-            *_area_lines(kind, own, mesh),
-            f'{"absorption_area_m2" if is_known else "prior"} = "{entry}"  # or other seats-...',
-        ]
-        if kind == "chair":
-            table = [f"# {line}" for line in ("where they are upholstered:", *table)]
-        lines += table
+        if own:
+            key = "absorption_area_m2" if is_known else "prior"
+            table = [
+                f"[objects.{value_text(kind)}]  # {len(own)} by the scan",
+                *_area_lines(kind, own, mesh),
+                f'{key} = "{entry}"  # or other seats-...',
+            ]
+            if kind == "chair":
+                table = [f"# {line}" for line in ("where they are upholstered:", *table)]
+            lines += table
     first = "# What stands in the room absorbs in its volume; here as upholstered seats do."
     return ["", first, *lines] if lines else []
 
@@ -464,7 +336,8 @@ def check_unit(mesh: Mesh, positions: Positions) -> None:
 
 
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
-    lines, unit, up = [], room.unit, room.up
+    """Return a room with a unit and an upward axis, stated or guessed, and the lines of both."""
+    unit, up, why_up = room.unit, room.up, ""
     if unit is None:
         units = likely_units(Path(room.file or ""), room.space)
         if len(units) != 1:
@@ -479,13 +352,11 @@ def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[Room
             )
         ((unit, why),) = units.items()
         because = why if why.startswith("by") else f"guessed: {why}"
-    lines.append(f"unit = {_quoted(unit)}" + (f"  # {because}" if because else ""))
     if up is None:
-        up, why = likely_up(model)
-        if why:
-            lines.append(f"up = {_quoted(up)}  # guessed: {why}")
-    else:
-        lines.append(f"up = {_quoted(up)}")
+        up, why_up = likely_up(model)
+    lines = [f"unit = {value_text(unit)}" + (f"  # {because}" if because else "")]
+    if why_up or room.up is not None:
+        lines.append(f"up = {value_text(up)}" + (f"  # guessed: {why_up}" if why_up else ""))
     return replace(room, unit=unit, up=up), lines
 
 
@@ -497,11 +368,11 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
         if name is None:
             continue
         of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
-        first, *others = suggested_entries(name) or ("",)
         where = "".join(c if c.isprintable() else "?" for c in in_short(of))
-        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {where}"]
-        alike = f"  # or {', '.join(others)}" if others else ""
-        lines += [f'# prior = "{first}"{alike}'] if first else []
+        lines.append(f"[materials.{value_text(name)}]  # {area:.1f} m2: {where}")
+        if entries := suggested_entries(name):
+            alike = f"  # or {', '.join(entries[1:])}" if entries[1:] else ""
+            lines.append(f'# prior = "{entries[0]}"{alike}')
     return lines
 
 
@@ -513,30 +384,21 @@ def _beside(folder: Path, file: Path) -> str:
 def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[str]:
     lines = [""]
     for name in dict.fromkeys(names or ("S1" if kind == "sources" else "R1",)):
-        lines.append(f"[{kind}.{_quoted(name)}]")
+        place = f'"{FILL_IN}"  # [x, y, z] in m, z up'
         if name in positions:
-            lines.append(f"position = [{', '.join(f'{x:g}' for x in positions[name])}]")
-        else:
-            lines.append(f'position = "{FILL_IN}"  # [x, y, z] in m, z up')
+            place = f"[{', '.join(f'{x:g}' for x in positions[name])}]"
+        lines += [f"[{kind}.{value_text(name)}]", f"position = {place}"]
     return lines
 
 
 def _measurement_lines(
     recordings: Mapping[str, tuple[str, str]], template: str | None
 ) -> list[str]:
-    lines = [
-        "",
-        "# What holds of all recordings, unless their own [[measurements]] say otherwise.",
-    ]
+    lines = ["", "# What holds of all recordings, unless their own [[measurements]] say otherwise."]
     lines += ["[defaults]", *(f"# {line}" for line in _DEFAULTS)]
     if template is not None:
         return lines
     for file, (source, receiver) in (recordings or {FILL_IN: ("S1", "R1")}).items():
-        lines += ["", "[[measurements]]", f"source = {_quoted(source)}"]
-        lines += [f"receiver = {_quoted(receiver)}", f"file = {_quoted(file)}"]
+        own = {"source": source, "receiver": receiver, "file": file}
+        lines += ["", "[[measurements]]", *(f"{k} = {value_text(v)}" for k, v in own.items())]
     return lines
-
-
-def _quoted(text: str | None) -> str:
-    """Return a text as TOML writes it, which quotes as JSON does."""
-    return json.dumps(text or "", ensure_ascii=False)

@@ -38,6 +38,11 @@ class Edit:
     key: str
     value: object  # as TOML has it, or a tuple; None takes the key out, and what is below it
 
+    @property
+    def path(self) -> _Path:
+        """The table and the key."""
+        return (*self.table, self.key)
+
 
 def value_text(value: object) -> str:
     """Return a value as TOML writes it.
@@ -129,7 +134,7 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
         expected, after = tomllib.loads(text), text
         what = "the campaign is written in a way that this cannot edit"
         for edit in edits:
-            _set(expected, (*edit.table, edit.key), edit.value)
+            _set(expected, edit.path, edit.value)
             after = _edited(after, edit)
         if _filled(tomllib.loads(after)) == _filled(expected):
             return after
@@ -159,19 +164,17 @@ def without_tables(text: str, tables: Collection[_Path]) -> str:
 
 def _edited(text: str, edit: Edit) -> str:
     """Return a text with one key changed; whether that is all is for the caller to see."""
-    own, path = list(_statements(text)), (*edit.table, edit.key)
+    own, path = list(_statements(text)), edit.path
     for i, one in enumerate(own):
         within = one.key and one.path == path[: len(one.path)]
         if within and (edit.value is not None or one.path != path):
             own[i] = one._replace(text=_with_value(one.text, path[len(one.path) :], edit.value))
             break
     else:
-        if edit.value is None:
-            own = [
-                one._replace(text=_comments(one.text)) if one.concerns(path) else one for one in own
-            ]
-        else:
+        if edit.value is not None:
             _add(own, edit, "\r\n" if "\r\n" in text else "\n")
+        else:
+            own = [s._replace(text=_comments(s.text)) if s.concerns(path) else s for s in own]
     return "".join(one.text for one in own)
 
 
@@ -181,20 +184,20 @@ def _add(own: list[_Statement], edit: Edit, end: str) -> None:
     straight = [i for i in beside if own[i].table == edit.table]
     # a key of a table that is written as keys with dots is another of these
     dotted = [i for i in beside if len(own[i].table) < len(edit.table)]
-    at = max(straight or dotted, default=-1)
-    if at < 0 and edit.table:
-        if own and (before := "".join(one.text for one in own).rstrip()):
+    at, table, indent = max(straight or dotted, default=-1), edit.table, ""
+    if at >= 0:
+        last = own[at]
+        table = last.table
+        own[at] = last._replace(text=last.text + ("" if last.text.endswith("\n") else end))
+        indent = last.text[: -len(last.text.lstrip())] if last.key else ""
+    elif table:
+        if before := "".join(one.text for one in own).rstrip():
             own[:] = [_Statement(f"{before}{end}{end}", ())]
-        own.append(_Statement(heading(edit.table) + end, edit.table))
-        table = edit.table
-    else:
-        table = own[at].table if at >= 0 else ()
-        if at >= 0 and not own[at].text.endswith("\n"):
-            own[at] = own[at]._replace(text=own[at].text + end)
-    indent = own[at].text[: -len(own[at].text.lstrip())] if at >= 0 and own[at].key else ""
+        own.append(_Statement(heading(table) + end, table))
+        at = len(own) - 1
     key = _key_text([*edit.table[len(table) :], edit.key])
     line = f"{indent}{key} = {value_text(edit.value)}{end}"
-    own.insert(at + 1 if at >= 0 or not edit.table else len(own), _Statement(line, table))
+    own.insert(at + 1, _Statement(line, table))
 
 
 def _statements(text: str) -> Iterator[_Statement]:
@@ -205,23 +208,20 @@ def _statements(text: str) -> Iterator[_Statement]:
     for line in _lines(text):
         waiting += line
         bare = waiting.strip()
-        if bare and not bare.startswith("#"):
-            try:
-                content = tomllib.loads(waiting)
-            except ValueError:
-                continue  # a value that goes on in the next line
-            if bare.startswith("["):
-                table, names = (), _names(content)
-                for name in names:
-                    table = (*table, name)
-                    rows[table] += bare.startswith("[[") and len(table) == len(names)
-                    table = (*table, rows[table]) if rows[table] else table
-                yield _Statement(waiting, table, begins=True)
-            else:
-                key = _names(tomllib.loads(f"{waiting[: _equals(waiting)]}= 0"))
-                yield _Statement(waiting, table, key)
-        else:
+        if not bare or bare.startswith("#"):
             yield _Statement(waiting, table)
+        elif not _is_toml(waiting):
+            continue  # a value that goes on in the next line
+        elif bare.startswith("["):
+            table, names = (), _names(tomllib.loads(waiting))
+            for name in names:
+                table = (*table, name)
+                rows[table] += bare.startswith("[[") and len(table) == len(names)
+                table = (*table, rows[table]) if rows[table] else table
+            yield _Statement(waiting, table, begins=True)
+        else:
+            key = _names(tomllib.loads(f"{waiting[: _equals(waiting)]}= 0"))
+            yield _Statement(waiting, table, key)
         waiting = ""
 
 
@@ -251,9 +251,10 @@ def _indices(letter: str, text: str) -> list[int]:
 
 def _is_toml(text: str) -> bool:
     try:
-        return bool(tomllib.loads(text))
+        tomllib.loads(text)
     except ValueError:
         return False
+    return True
 
 
 def _with_value(text: str, below: _Path, value: object) -> str:
@@ -266,7 +267,7 @@ def _with_value(text: str, below: _Path, value: object) -> str:
     if below:
         if "\n" in old:
             raise ValueError("a value of several lines")
-        holder = {"x": tomllib.loads(f"x = {old}")["x"]}
+        holder = tomllib.loads(f"x = {old}")
         _set(holder, ("x", *below), value)
         new = holder["x"]
     lead = old[: -len(old.lstrip())]
@@ -299,6 +300,17 @@ def _filled(content: Any) -> Any:
     return {name: own for name, own in filled.items() if own != {}}
 
 
+def stated(content: Any, edit: Edit) -> object:
+    """Return what plain content says already at the place of an edit, None where nothing."""
+    for name in edit.path:
+        if isinstance(name, int):
+            content = (content if isinstance(content, list) else [])[name - 1 : name]
+            content = content[0] if content else None
+        else:
+            content = content.get(name) if isinstance(content, Mapping) else None
+    return content
+
+
 # Shown before, written, undone after.
 
 
@@ -312,42 +324,19 @@ class Preview:
 
 
 def campaign_text(file: Path) -> str:
-    """Return the text of a campaign file.
-
-    Raises
-    ------
-    InputError
-        It is missing, too large, or no text.
-    """
+    """Return the text of a campaign file."""
     return read_text(file, "campaign file", most="campaign_bytes")
 
 
 @contextmanager
 def read_beside(folder: Path, text: str) -> Iterator[Campaign]:
-    """Read what would be a campaign beside that of the folder, for paths are relative to it.
-
-    Raises
-    ------
-    InputError
-        See `roomfit.read_campaign`.
-    """
+    """Read what would be a campaign beside that of the folder, for paths are relative to it."""
     beside = folder / f".roomfit-{secrets.token_hex(8)}.toml"
     try:
         write_text_atomically(beside, text)
         yield read_campaign(beside, to_fit=False)
     finally:
         beside.unlink(missing_ok=True)
-
-
-def stated(content: Any, edit: Edit) -> object:
-    """Return what plain content says already at the place of an edit, None where nothing."""
-    for name in (*edit.table, edit.key):
-        if isinstance(name, int):
-            content = content[name - 1 : name] if isinstance(content, list) else ()
-            content = content[0] if content else None
-        else:
-            content = content.get(name) if isinstance(content, Mapping) else None
-    return content
 
 
 def preview(file: Path, edits: Sequence[Edit]) -> Preview:
@@ -359,11 +348,12 @@ def preview(file: Path, edits: Sequence[Edit]) -> Preview:
         The campaign cannot be edited key by key, or could not be read any more.
     """
     before = campaign_text(file)
-    after, lines = edited_text(before, edits), []
+    after, content, lines = edited_text(before, edits), tomllib.loads(before), []
     for edit in edits:
-        old = stated(tomllib.loads(before), edit)
+        old = stated(content, edit)
         now = "not stated" if old is None else lines_of([Edit(edit.table, edit.key, old)])[1]
-        lines.append((lines_of([edit])[0], now, lines_of([edit])[1]))
+        table, then = lines_of([edit])
+        lines.append((table, now, then))
     with read_beside(file.parent, after):
         return Preview(before, after, tuple(lines))
 
@@ -428,20 +418,18 @@ def apply(file: Path, wanted: Preview) -> None:
 
 def _undone(file: Path, text: str) -> str | None:
     """Return the text before the last remedy, None where there is none or it was edited since."""
-    if not file.with_name(_UNDO).is_file():
-        return None
     try:
         kept = json.loads(read_text(file.with_name(_UNDO), "text to be undone to"))
         same = kept["written"] == sha256(text.encode()).hexdigest()
         return str(kept["before"]) if same else None
-    except (InputError, ValueError, KeyError, TypeError):  # not as it was written
+    except (InputError, ValueError, KeyError, TypeError):  # none, or not as it was written
         return None
 
 
 def can_undo(file: Path) -> bool:
     """Whether the campaign is as the last remedy left it, so that this can be taken back."""
     try:
-        return file.is_file() and _undone(file, campaign_text(file)) is not None
+        return _undone(file, campaign_text(file)) is not None
     except InputError:
         return False
 
