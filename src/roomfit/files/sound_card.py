@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +12,8 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 
 
-def sounddevice(load: Callable[[str], Any] = importlib.import_module) -> Any:
+def sounddevice() -> Any:
     """Return the module sounddevice, which loads PortAudio.
-
-    Parameters
-    ----------
-    load : callable
-        Imports a module by its name.
 
     Raises
     ------
@@ -27,21 +21,15 @@ def sounddevice(load: Callable[[str], Any] = importlib.import_module) -> Any:
         The package is missing, or PortAudio, which wheels for Linux do not bring along.
     """
     try:
-        return load("sounddevice")
-    except ModuleNotFoundError as error:
+        return importlib.import_module("sounddevice")
+    except (ModuleNotFoundError, OSError) as error:
+        package = isinstance(error, ModuleNotFoundError)
+        get = "pip install 'roomfit[measure]'" if package else "apt install libportaudio2"
         raise InputError(
-            "measuring needs a package that is not installed",
-            found=f"no module {error.name!r}",
-            needed="the extra measure",
-            hint="pip install 'roomfit[measure]', or measure in the browser: roomfit app",
-        ) from error
-    except OSError as error:
-        raise InputError(
-            "measuring needs a library that is not installed",
+            f"measuring needs a {'package' if package else 'library'} that is not installed",
             found=str(error),
-            needed="PortAudio",
-            hint="apt install libportaudio2 (or what your system has), or measure in the browser: "
-            "roomfit app",
+            needed="the extra measure" if package else "PortAudio",
+            hint=f"{get} (or what your system has), or measure in the browser: roomfit app",
         ) from error
 
 

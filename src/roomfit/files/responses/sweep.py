@@ -20,7 +20,7 @@ from roomfit.base.bands import Bands, bands_between, bands_in_words
 from roomfit.base.errors import InputError
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.files.responses.recordings import Recording, deconvolved
-from roomfit.signals.decay import check_decay_range, check_is_response, decay_curve
+from roomfit.signals.decay import DecayCurve, check_decay_range, check_is_response, decay_curve
 from roomfit.signals.response import ImpulseResponse, clipping, find_onset
 
 _BACKGROUND_S = 1.0  # of silence before the first sweep
@@ -78,10 +78,9 @@ def sweep(plan: SweepPlan) -> FloatArray:
     """
     rate_hz = plan.sampling_rate_hz
     n = round(plan.seconds * rate_hz)
-    share = np.arange(n) / n
     growth = float(np.log(_top_hz(rate_hz) / _LOWEST_HZ))
-    phase = 2.0 * np.pi * _LOWEST_HZ * plan.seconds / growth * np.expm1(growth * share)
-    x = _AMPLITUDE * np.sin(phase)
+    x = np.expm1(growth * np.arange(n) / n)
+    x = _AMPLITUDE * np.sin(2.0 * np.pi * _LOWEST_HZ * plan.seconds / growth * x)
     for part_s, ends in ((_RISE_S, x), (_FALL_S, x[::-1])):
         fade = np.arange(round(part_s * rate_hz)) / (part_s * rate_hz)
         ends[: len(fade)] *= np.sin(0.5 * np.pi * fade) ** 2
@@ -120,7 +119,7 @@ class SweepResponse:
             "n_clipped": self.n_clipped,
             "noise_dbfs": round(self.noise_dbfs, 1),
             "bands_hz": self.bands.centres_hz.tolist(),
-            "range_db": [round(float(x), 1) for x in np.minimum(self.range_db, 200.0)],
+            "range_db": np.minimum(self.range_db, 200.0).round(1).tolist(),
             "suffices_for": good.tolist(),
             "again": list(self.again),
         }
@@ -128,14 +127,15 @@ class SweepResponse:
     def __str__(self) -> str:
         """Return what the command line prints."""
         own = self.content()
-        lines = [
+        rows = zip(own["bands_hz"], own["range_db"], own["suffices_for"], strict=True)
+        lines = (
             f"peak {own['peak_dbfs']:.1f} dBFS, background {own['noise_dbfs']:.1f} dBFS, "
             f"{self.n_clipped} samples clipped",
             f"range of the decay; T20 needs {_T20_DB:g} dB, T30 {_T30_DB:g} dB",
-        ]
-        rows = zip(own["bands_hz"], own["range_db"], own["suffices_for"], strict=True)
-        lines += [f"{f:>8g} Hz {x:>6.1f} dB  {good or 'too short'}" for f, x, good in rows]
-        return "\n".join([*lines, *(f"again: {reason}" for reason in self.again)])
+            *(f"{f:>8g} Hz {x:>6.1f} dB  {good or 'too short'}" for f, x, good in rows),
+            *(f"again: {reason}" for reason in self.again),
+        )
+        return "\n".join(lines)
 
 
 def response_from_recording(
@@ -165,56 +165,51 @@ def response_from_recording(
     soft, *others = x[n_first:n_needed].reshape(1 + plan.repetitions, -1)
     repeated = np.array(others)
     mean = (_SOFT * soft + repeated.sum(axis=0)) / (_SOFT**2 + plan.repetitions)
-    played = Recording(sweep(plan), rate_hz)
-    paths = Path("recording"), Path("sweep")
+    response, bands, curve = _response(mean, plan)
+    n_clipped, noise = int(np.count_nonzero(np.abs(x) >= _FULL_SCALE)), float(background.std())
+    reasons = [*reported]
+    if n_clipped or any(clipping(row, "", "") for row in repeated):
+        found = f"{n_clipped} samples at full scale" if n_clipped else "peaks of equal height"
+        reasons.append(f"the recording is clipped ({found}): lower the gain of the microphone")
+    n = round(_STILL_S * rate_hz)
+    blocks = background[: len(background) // n * n].reshape(-1, n)
+    if np.any(np.ptp(blocks, axis=1) <= _STILL):
+        reasons.append(
+            "the background is digital silence for 50 ms and more: a gate or a noise suppression "
+            "is on, or the gain of the microphone is far too low"
+        )
+    reasons += (
+        *_of_bandwidth(mean, rate_hz),
+        *_of_repetitions(repeated, soft, noise, rate_hz),
+        *_of_range(bands, curve.usable_db, curve.noise_reached, plan),
+    )
+    peak_dbfs, noise_dbfs = (
+        20.0 * float(np.log10(max(a, 1e-10))) for a in (np.abs(x).max(), noise)
+    )
+    return SweepResponse(
+        response, peak_dbfs, n_clipped, noise_dbfs, bands, curve.usable_db, tuple(reasons)
+    )
+
+
+def _response(mean: FloatArray, plan: SweepPlan) -> tuple[ImpulseResponse, Bands, DecayCurve]:
+    """Return the response to a sweep, bands and its decay; refuse one that is none."""
+    rate_hz = plan.sampling_rate_hz
     bands = bands_between("octave", 125.0, min(8000.0, rate_hz / 4.2))  # its filter needs 4
     # where the sweep has all its power: its ends, inverted, would amplify noise
     band_hz = _LOWEST_HZ * 2.0**0.5, _top_hz(rate_hz) / 1.1
+    both = Recording(mean, rate_hz), Recording(sweep(plan), rate_hz)
     what = ""
     try:
-        own = deconvolved(Recording(mean, rate_hz), played, *paths, band_hz)
+        own = deconvolved(*both, Path("recording"), Path("sweep"), band_hz)
         response = ImpulseResponse(own.pressure, rate_hz, -own.delay_s)
-        onset_s = find_onset(response)
-        curve = decay_curve(bands, response, onset_s)
+        curve = decay_curve(bands, response, find_onset(response))
         check_decay_range(curve)
         what = "noise is louder than the response, all frequencies together"
         check_is_response(response)  # by which others would take it for a sweep
     except InputError as error:
         found, needed = error.found, error.needed
         raise InputError(what or error.what, found=found, needed=needed, hint=_WAKE) from error
-    n_clipped = int(np.count_nonzero(np.abs(x) >= _FULL_SCALE))
-    peak, noise = float(np.abs(x).max()), float(background.std())
-    short = (curve.usable_db < _T20_DB) & (bands.centres_hz <= _NEEDED_HZ)
-    reasons = (
-        *reported,
-        *_of_level(n_clipped, repeated),
-        *_of_silence(background, rate_hz),
-        *_of_bandwidth(mean, rate_hz),
-        *_of_repetitions(repeated, soft, noise, rate_hz),
-        *_of_range(bands, curve.usable_db, short & ~curve.noise_reached, short, plan),
-    )
-    peak_dbfs, noise_dbfs = (20.0 * float(np.log10(max(a, 1e-10))) for a in (peak, noise))
-    return SweepResponse(
-        response, peak_dbfs, n_clipped, noise_dbfs, bands, curve.usable_db, reasons
-    )
-
-
-def _of_level(n_clipped: int, repeated: FloatArray) -> Iterator[str]:
-    cut = any(clipping(row, "", "") for row in repeated)
-    if n_clipped or cut:
-        found = f"{n_clipped} samples at full scale" if n_clipped else "peaks of equal height"
-        yield f"the recording is clipped ({found}): lower the gain of the microphone"
-
-
-def _of_silence(background: FloatArray, rate_hz: float) -> Iterator[str]:
-    """Say where the background is digitally silent for a while, as behind a gate."""
-    n = round(_STILL_S * rate_hz)
-    blocks = background[: len(background) // n * n].reshape(-1, n)
-    if np.any(np.ptp(blocks, axis=1) <= _STILL):
-        yield (
-            "the background is digital silence for 50 ms and more: a gate or a noise suppression "
-            "is on, or the gain of the microphone is far too low"
-        )
+    return response, bands, curve
 
 
 def _of_bandwidth(mean: FloatArray, rate_hz: float) -> Iterator[str]:
@@ -301,9 +296,11 @@ def _lag(signal: FloatArray, other: FloatArray) -> float:
 
 
 def _of_range(
-    bands: Bands, range_db: FloatArray, cut: BoolArray, short: BoolArray, plan: SweepPlan
+    bands: Bands, range_db: FloatArray, noise_reached: BoolArray, plan: SweepPlan
 ) -> Iterator[str]:
     """Say where the decay is too short, and what would lengthen it."""
+    short = (range_db < _T20_DB) & (bands.centres_hz <= _NEEDED_HZ)
+    cut = short & ~noise_reached
     if cut.any():
         where = bands_in_words(bands, np.flatnonzero(cut).tolist())
         yield f"the recording ends before the decay does ({where}): longer silence after the sweep"
