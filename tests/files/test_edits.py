@@ -17,7 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roomfit.app import project
-from roomfit.files.edits import Edit, edited_text, lines_of, value_text, without_tables
+from roomfit.base.findings import Edit
+from roomfit.files.edits import edited_text, lines_of, value_text, without_tables
 
 NAMES = ("LS1", "R 1", "a.b", "größe", "x#y", "p=q")
 names = st.sampled_from(NAMES)

@@ -292,6 +292,32 @@ class About:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """One key of one table of a campaign file, and what it is to be.
+
+    Of a finding, ``("measurements", FILE)`` is a recording as `About` names it, and ``"*"`` in
+    place of a name every source or receiver.
+    """
+
+    table: tuple[str | int, ...]  # ("sources", "LS1"), or ("measurements", 3), counted from 1
+    key: str
+    value: Any  # as TOML has it, or a tuple; None takes the key out, and what is below it
+    how: Literal["set", "add", "scale"] = "set"  # the last two: what the campaign says, changed
+    now: Sequence[Any] = ()  # it is advised where the campaign says one of these; empty: whatever
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """What somebody who follows a finding writes into the campaign file."""
+
+    edits: Sequence[Edit]
+    words: str = ""  # after "Set" or as a button; empty: those of the edits
+    # whether it counts from what the campaign said when the finding was raised: it is no remedy of
+    # a campaign that was changed since
+    once: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
     """Something that a user must know before trusting a number.
@@ -309,6 +335,8 @@ class Finding:
     evidence: Mapping[str, Any] = field(default_factory=dict)
     graded: Severity | None = None  # given where its size decides and the code has two severities
     error: InputError | None = None  # that is raised where the finding stops what was asked for
+    # several where somebody who has seen the room must choose, the likeliest first
+    remedies: Sequence[Remedy] = ()
 
     def __post_init__(self) -> None:
         if self.graded is not None and self.graded not in self.code.severities:
@@ -324,7 +352,7 @@ class Finding:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickles a finding: evidence is a view that cannot be kept as it is."""
         own = (self.code, self.about, self.sentence, dict(self.evidence), self.graded, self.error)
-        return Finding, own
+        return Finding, (*own, self.remedies)
 
     @property
     def severity(self) -> Severity:

@@ -23,25 +23,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 from roomfit.base.door import read_text
 from roomfit.base.errors import InputError, located
+from roomfit.base.findings import Edit
 from roomfit.base.whole_files import locked, write_json_atomically, write_text_atomically
 from roomfit.files.campaign import Campaign, read_campaign
 
 _UNDO = ".roomfit-undo.json"  # the campaign before the last remedy, and the digest of it after
 _Path: TypeAlias = tuple[str | int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """One key of one table of a campaign file."""
-
-    table: _Path  # ("sources", "LS1"), or ("measurements", 3), counted from 1
-    key: str
-    value: object  # as TOML has it, or a tuple; None takes the key out, and what is below it
-
-    @property
-    def path(self) -> _Path:
-        """The table and the key."""
-        return (*self.table, self.key)
 
 
 def value_text(value: object) -> str:
@@ -134,7 +121,7 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
         expected, after = tomllib.loads(text), text
         what = "the campaign is written in a way that this cannot edit"
         for edit in edits:
-            _set(expected, edit.path, edit.value)
+            _set(expected, (*edit.table, edit.key), edit.value)
             after = _edited(after, edit)
         if _filled(tomllib.loads(after)) == _filled(expected):
             return after
@@ -164,7 +151,7 @@ def without_tables(text: str, tables: Collection[_Path]) -> str:
 
 def _edited(text: str, edit: Edit) -> str:
     """Return a text with one key changed; whether that is all is for the caller to see."""
-    own, path = list(_statements(text)), edit.path
+    own, path = list(_statements(text)), (*edit.table, edit.key)
     for i, one in enumerate(own):
         within = one.key and one.path == path[: len(one.path)]
         if within and (edit.value is not None or one.path != path):
@@ -302,7 +289,7 @@ def _filled(content: Any) -> Any:
 
 def stated(content: Any, edit: Edit) -> object:
     """Return what plain content says already at the place of an edit, None where nothing."""
-    for name in edit.path:
+    for name in (*edit.table, edit.key):
         if isinstance(name, int):
             content = (content if isinstance(content, list) else [])[name - 1 : name]
             content = content[0] if content else None

@@ -13,7 +13,7 @@ import numpy as np
 
 from roomfit.base.door import files_read, json_content, read_bytes, read_text
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import About, Code, Finding, code_of
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy, code_of
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import CONTENT_DIGEST, content_digest
 
@@ -107,6 +107,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "sentence": finding.sentence,
         "about": {name: _plain(value) for name, value in asdict(finding.about).items() if value},
         "evidence": _plain(finding.evidence),
+        **({"remedies": [asdict(one) for one in finding.remedies]} if finding.remedies else {}),
     }
 
 
@@ -121,7 +122,16 @@ def finding_of(content: Mapping[str, Any], where: str) -> Finding:
     code, severity = code_of(content.get("code"), where), content.get("severity")
     graded = None if len(code.severities) < 2 else severity
     about = About(**content.get("about", {}))
-    return Finding(code, about, content["sentence"], content.get("evidence", {}), graded)
+    remedies = [
+        Remedy(
+            [Edit(**{**edit, "table": tuple(edit["table"])}) for edit in one["edits"]],
+            one["words"],
+            one["once"],
+        )
+        for one in content.get("remedies", ())
+    ]
+    evidence = content.get("evidence", {})
+    return Finding(code, about, content["sentence"], evidence, graded, remedies=remedies)
 
 
 def _plain(value: Any) -> Any:

@@ -56,7 +56,7 @@ RESULT_KEYS = {
     "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
     "intervals method_chosen reasons",
     "pairs": "source receiver use state parameters sti",
-    "findings": "code severity sentence about evidence",
+    "findings": "code severity sentence about evidence remedies",
 }
 _WHOLE = "a result.json as roomfit writes it"
 _COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
