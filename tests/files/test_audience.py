@@ -15,7 +15,6 @@ from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import campaign_room, check_campaign, room_priors
 from roomfit.files.reverberation import diffuse_field
-from roomfit.materials.catalogue import find_material
 from roomfit.materials.priors import object_area_m2
 from small_campaign import run_command
 
@@ -165,12 +164,3 @@ def test_seats_that_cannot_be_meant_are_refused(folder, old, new, words):
     text = CAMPAIGN.replace("[reverberation]", "edge_m = 0.5\n[reverberation]").replace(old, new)
     with pytest.raises(InputError, match=words):
         diffuse_field(campaign_of(folder, text))
-
-
-def test_entries_of_occupied_seats_are_those_of_beranek_and_hidaka():
-    """Octaves 125 Hz to 4 kHz, J. Acoust. Soc. Am. 104, 3169; the empty ones are less."""
-    for name, first, last in (("light", 0.51, 0.83), ("medium", 0.62, 0.85), ("heavy", 0.72, 0.9)):
-        entry, empty = find_material(f"audience-{name}"), find_material(f"seats-{name}-empty")
-        assert entry.absorption[[1, 6]] == pytest.approx([first, last])
-        assert "104, 3169" in entry.readings[0].source
-        assert (entry.absorption[1:7] > empty.absorption[1:7] - 0.02).all()

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from report_cases import answer_of, read_page, scene_of
+from report_cases import answer_of, scene_of
 from roomfit.base.errors import InputError
 from roomfit.base.logit import Z95
 from roomfit.base.whole_files import json_text
@@ -23,8 +23,6 @@ from roomfit.files.budget import (
     uncertainty_budget,
 )
 from roomfit.files.results import result_content
-from roomfit.report.answer import report_html
-from roomfit.report.tables import condition_tables
 
 TERMS = ("", "noise", "model", "air", "neighbours", "prior")
 SMALLER = np.array([1.0, 0.8, 0.5, 1.0, 0.7, np.inf])  # of the whole, by which term is left out
@@ -135,40 +133,6 @@ def test_the_table_of_a_file_is_that_of_the_result_in_memory(answer, tmp_path):
 def without_costs(result):
     none = tuple(replace(b, costs={}, mean_costs={}) for b in result.estimates)
     return replace(result, estimates=none)
-
-
-def test_the_report_has_the_budget_and_the_conditions_of_the_measurement(answer):
-    scene, result = answer
-    page = read_page(report_html(result, scene, title="A room"))
-    (caption,) = [c for c in page.tables if c == "Uncertainty budget of the absorption at 1 kHz"]
-    rows = page.tables[caption]
-    wall = uncertainty_budget(result, [1000.0])[0]
-    text, share = rows["model"][0]
-    assert float(text) == pytest.approx(contribution(wall.variances["model"]), abs=6e-5)
-    assert float(share.removesuffix(" %")) == pytest.approx(0.75 / 1.21 * 100.0, abs=0.8)
-    assert [*rows][-5:] == [
-        *("remainder", "combined standard uncertainty", "coverage factor"),
-        *("expanded uncertainty", "without the prior"),
-    ]
-    plain = without_costs(result)
-    assert not any("budget" in c for c in read_page(report_html(plain, scene, title="A")).tables)
-
-
-def test_conditions_are_those_of_iso_3382_2_for_so_many_pairs(answer):
-    """An octave at 1 kHz is 707 Hz wide, and three pairs were fitted."""
-    _, result = answer
-    checked = replace(result.pairs[0], use="check", state="empty")
-    (shown,) = condition_tables(replace(result, pairs=(checked, *result.pairs)))
-    band = result.bands.centres_hz.tolist().index(1000.0)
-    times_s = np.array([p.parameters["T20_s"].measured[band] for p in result.pairs])
-    mean, theory, observed = (row[1 + band].text for row in shown.rows)
-    assert mean == f"{times_s.mean():.2f}"
-    assert shown.rows[0][1 + band].small == ("3 pairs",)
-    width_hz = 1000.0 * (2**0.5 - 2**-0.5)
-    by_standard = 0.88 * np.sqrt((1.0 + 1.9 / 10.0) / (3 * width_hz * times_s.mean()))
-    assert float(theory) == pytest.approx(100.0 * by_standard, abs=0.06)
-    scatter = times_s.std(ddof=1) / times_s.mean() / np.sqrt(3.0)
-    assert float(observed) == pytest.approx(100.0 * scatter, abs=0.051)
 
 
 def test_what_has_no_budget_says_why(answer, tmp_path):

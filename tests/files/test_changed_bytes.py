@@ -11,15 +11,12 @@ import pytest
 from report_cases import answer_of, scene_of, with_bands
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Code
-from roomfit.base.whole_files import content_digest, write_json_atomically
-from roomfit.cli.export import export_result
+from roomfit.base.whole_files import content_digest
 from roomfit.cli.predict import predict_to_folder
 from roomfit.files.encoding import EditedFile, written_content
 from roomfit.files.results import (
-    RESULT_KEYS,
     read_materials,
     read_result,
-    result_content,
     write_result,
 )
 from small_campaign import run_command, write_campaign
@@ -132,20 +129,6 @@ def test_every_command_that_reads_a_result_takes_an_edited_one_on_request(
     assert said == [command != "treat", False]
 
 
-def test_a_result_without_digest_is_read_and_says_so(tmp_path):
-    path = tmp_path / "result.json"
-    answer = answered()
-    write_json_atomically(path, result_content(answer, ()))
-    content = json.loads(path.read_text())
-    del content["content_sha256"]
-    path.write_text(json.dumps(content))
-    found = read_result(path)
-    np.testing.assert_array_equal(found.absorption, answer.absorption)
-    assert [f.code for f in found.result_findings] == [Code.RESULT_WITHOUT_DIGEST]
-    exported = export_result(path, "csv", tmp_path / "a.csv")
-    assert Code.RESULT_WITHOUT_DIGEST in [f.code for f in exported.findings]
-
-
 def test_the_digest_is_that_of_the_text_without_spaces_and_without_itself(tmp_path):
     """So another program checks it, after any formatting of the file."""
     path = written(tmp_path)
@@ -188,12 +171,6 @@ def test_an_unknown_key_is_refused_and_the_nearest_named(tmp_path, table, key, w
         read_result(EditedFile(path))
     assert refused.value.found == repr(wrong) and repr(key) in str(refused.value.hint)
     assert str(refused.value.where).endswith(table or "top level")
-
-
-def test_every_table_of_known_keys_is_one_that_the_writer_fills(tmp_path):
-    content = json.loads(written(tmp_path).read_text())
-    assert {name for name in RESULT_KEYS if name} <= content.keys()
-    assert content.keys() <= set(RESULT_KEYS[""].split())
 
 
 @pytest.mark.slow

@@ -92,23 +92,6 @@ def test_what_is_not_known_is_a_blank_that_identify_lists(folder, monkeypatch, c
     assert f"found   {FILL_IN} for {listed}" in capsys.readouterr().err
 
 
-def test_an_empty_folder_gives_a_campaign_of_blanks(tmp_path):
-    text = draft_campaign(None, matching_files(tmp_path, None), folder=tmp_path)
-    assert blanks(tomllib.loads(text)) == [
-        "room.shoebox", "sources.S1.position", "receivers.R1.position", "measurements[1].file",
-    ]  # fmt: skip
-
-
-def test_a_campaign_that_is_there_is_kept_unless_overwriting_was_asked(folder, monkeypatch, capsys):
-    file = folder / "campaign.toml"
-    file.write_text("mine")
-    assert run_command(monkeypatch, "init", folder) == 2
-    assert "add --overwrite" in capsys.readouterr().err
-    assert file.read_text() == "mine"
-    assert run_command(monkeypatch, "init", folder, "--overwrite") == 0
-    assert file.read_text() != "mine"
-
-
 @pytest.mark.parametrize(
     ("header", "unit"),
     [("# File units = meters\n", "m"), ("# Units: inches\n", "in"), ("# unit cm\n", "cm")],
@@ -184,13 +167,6 @@ def test_a_name_is_split_where_both_parts_are_known(tmp_path):
     }
     apart = matching_files(tmp_path, "{source}_{receiver}.wav")
     assert apart["s000_150_M.wav"] == ("s000", "150_M")
-
-
-def test_other_text_and_several_separators_are_taken(tmp_path):
-    for name in ("2024 hall S1 at R2 take3.wav", "2024 hall S1 at R3 take1.wav", "sweep.wav"):
-        (tmp_path / name).touch()
-    found = matching_files(tmp_path, "* hall {source} at {receiver} take*.wav")
-    assert list(found.values()) == [("S1", "R2"), ("S1", "R3")]
 
 
 @pytest.mark.parametrize("line", ["R2,1,2", "R2,1,x,3", "R1,1,2,3", "R2,nan,2,3"])
@@ -298,28 +274,3 @@ def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
     assert "1 kHz" in said and "1.40" in said and "± 0.07" in said
     assert run_command(monkeypatch, *own, "--recordings", "{source}_{receiver}.wav") == 2
     assert "one or the other" in capsys.readouterr().err
-
-
-def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, monkeypatch, capsys):
-    """Without its heading the table has centimetres, which as metres lie far outside."""
-    text = (folder / "positions.csv").read_text()
-    (folder / "bare.csv").write_text(text.partition("\n")[2])
-    own = ("init", folder, "--room", folder / "room.obj", "--unit", "in", "--positions")
-    assert run_command(monkeypatch, *own, folder / "bare.csv") == 2
-    said = capsys.readouterr().err
-    assert "0 of 3 positions within the room, all of them in cm" in said
-    assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()
-
-
-def test_a_draft_names_its_project_after_the_folder(tmp_path):
-    """Also where the folder's name has letters that TOML would take for its own."""
-    folder = tmp_path / 'Saal "West" 2'
-    folder.mkdir()
-    (folder / "t30.csv").write_text("place,500\nseat,1.1\n")
-    text = draft_campaign(
-        RoomSpec(shoebox=(6.0, 5.0, 3.0)), {}, folder=folder, decay_times=folder / "t30.csv"
-    )
-    (folder / "campaign.toml").write_text(text)
-    campaign = read_campaign(folder / "campaign.toml", to_fit=False, decay_times=True)
-    assert campaign.project.title == 'Saal "West" 2'
-    assert campaign.project.client is None and '# client = ""' in text

@@ -6,7 +6,6 @@ import csv
 import json
 import pickle
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,16 +69,6 @@ def write_table(folder: Path) -> Path:
             for f, a in zip(OCTAVES, alphas, strict=True):
                 writer.writerow([name, f, a, 0.5 * a, min(1.0, 1.5 * a), "true"])
     return path
-
-
-def test_json_and_csv_of_a_result_are_the_same_table(tmp_path):
-    a, b = (read_materials(w(tmp_path))[0] for w in (write_result, write_table))
-    assert a.names == b.names
-    assert a.bands.centres_hz.tolist() == b.bands.centres_hz.tolist() == OCTAVES
-    np.testing.assert_array_equal(a.absorption, b.absorption)
-    np.testing.assert_array_equal(a.upper95, b.upper95)
-    assert not np.all(a.identifiable)
-    assert np.all(b.identifiable)
 
 
 def test_pyroomacoustics_takes_the_materials(tmp_path):
@@ -304,24 +293,6 @@ def test_a_workbook_has_a_sheet_a_table_and_no_formula(tmp_path):
     assert list(book["findings"].values)[1][2] == "'=cmd|'/c calc'!A1?"
 
 
-def test_without_openpyxl_the_message_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(InputError, match=r"roomfit\[excel\]"):
-        export_result(write_result(tmp_path), "excel", tmp_path / "a.xlsx")
-    assert not (tmp_path / "a.xlsx").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "short"),
-    [("I-Simpa", "isimpa"), ("CATT-Acoustic", "catt"), ("ODEON", "odeon"), ("CSV", "csv")],
-)
-def test_a_format_may_be_called_as_its_program_calls_itself(tmp_path, name, short):
-    result = write_result(tmp_path)
-    for wanted in (name, short):
-        export_result(result, wanted, tmp_path / wanted)
-    assert (tmp_path / name).read_bytes() == (tmp_path / short).read_bytes()
-
-
 def test_a_result_is_an_xarray_data_set():
     """With the intervals of materials, priors and the mean of the room."""
     pytest.importorskip("xarray")
@@ -341,12 +312,6 @@ def test_a_result_is_an_xarray_data_set():
     assert means == plain.mean_absorption[:, 2].tolist()
     assert dict(data.sizes) == {"material": 3, "band_hz": 6}
     assert data["area_m2"].values.tolist() == plain.areas_m2.tolist()
-
-
-def test_without_xarray_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match="pip install xarray"):
-        answer_of(scene_of()).to_xarray()
 
 
 def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsys):

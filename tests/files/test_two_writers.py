@@ -173,11 +173,3 @@ def test_a_first_campaign_does_not_replace_one_that_has_come_meanwhile(tmp_path:
     with pytest.raises(InputError, match="the file to write exists"):
         while_held(file, "# of another\n", lambda: draft_to_folder(tmp_path, room))
     assert file.read_text() == "# of another\n"
-
-
-def test_a_folder_in_the_place_of_the_campaign_is_to_be_renamed(tmp_path: Path) -> None:
-    (tmp_path / "campaign.toml").mkdir()
-    with pytest.raises(InputError) as refused:
-        draft_to_folder(tmp_path, RoomSpec(shoebox=(5.0, 4.0, 3.0)))
-    assert refused.value.found == "a folder"
-    assert refused.value.hint == "rename what is there, or choose another name"

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code, Finding
+from roomfit.base.findings import Code, Edit, Finding, Remedy
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.checks.evidence import (
     UNDECIDED,
@@ -24,6 +25,7 @@ from roomfit.checks.evidence import (
     Recorded,
     about_files,
     files_in_words,
+    of_files,
 )
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.room.scene import Point, Scene
@@ -180,7 +182,8 @@ def _clock_of_direct(found: _Arrivals, text: str) -> _Verdicts:
     files = found.measurements
     sentence = f'All {len(files)} files {text}: set time_zero = "direct".'
     about, evidence = about_files(*files), {"time_zero": "direct"}
-    finding = Finding(Code.RECORDINGS_LATE, about, sentence, evidence)
+    advised = of_files(files, "time_zero", "direct", now=["emission"])
+    finding = Finding(Code.RECORDINGS_LATE, about, sentence, evidence, remedies=[advised])
     return (ArrivalVerdict(finding, time_zero="direct"),)
 
 
@@ -300,7 +303,11 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Arr
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
     )
     evidence = {"late_s": late_s, "latency_s": latency_s, "files": [m.where for m in measurements]}
-    finding = Finding(Code.RECORDINGS_LATE, about_files(*measurements), text, evidence)
+    # counted from the file's key: a format may have a delay of its own beside it
+    delay = replace(of_files(measurements, "latency_s", late_s, how="add"), once=True)
+    remedies = [delay, of_files(measurements, "time_zero", "unknown", now=["emission"])]
+    about = about_files(*measurements)
+    finding = Finding(Code.RECORDINGS_LATE, about, text, evidence, remedies=remedies)
     return ArrivalVerdict(finding, late_s)
 
 
@@ -331,7 +338,15 @@ def _scaled(factor: float, found: _Arrivals) -> ArrivalVerdict:
     )
     evidence = {"factor": factor, **({"unit": unit} if unit else {})}
     about = about_files(*found.measurements)
-    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
+    remedies = []
+    if unit:  # else it is a sampling rate, or the temperature
+        points = [Edit((k, "*"), "position", factor, "scale") for k in ("sources", "receivers")]
+        both = [Edit(("room",), "unit", unit, now=["ft" if unit == "m" else "m"]), *points]
+        words = f"positions times {factor:.4g}"
+        remedies.append(Remedy(both, f"room in {unit}, {words}", once=True))
+        remedies.append(Remedy(points, f"{words}, the room as it is", once=True))
+    finding = Finding(Code.COORDINATES_SCALED, about, text, evidence, remedies=remedies)
+    return ArrivalVerdict(finding)
 
 
 def _other_unit(found: _Arrivals) -> _Verdicts:
@@ -374,7 +389,10 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     )
     about = replace(about_files(*found.measurements), points_m=[p.tolist() for p in at.values()])
     numbers = {"receivers": sorted(at), "metres": size_m, "shift_m": shift_m.tolist()}
-    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers)
+    shift = tuple(shift_m.tolist())
+    moved = [Edit(("receivers", name), "position", shift, "add") for name in sorted(at)]
+    advised = Remedy(moved, f"{in_short(sorted(at))} moved by ({by}) m", once=True)
+    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers, remedies=[advised])
     return _Explanation(evidence, words, (ArrivalVerdict(finding),))
 
 
@@ -415,7 +433,15 @@ def _exchanged(found: _Arrivals) -> _Verdicts:
                 f"({a.source} to {a.receiver}, {b.source} to {b.receiver})."
             )
             evidence = {"files": [a.where, b.where]}
-            return (ArrivalVerdict(Finding(Code.EXCHANGED, about_files(a, b), text, evidence)),)
+            edits = [
+                Edit(("measurements", m.where), key, getattr(other, key))
+                for m, other in ((a, b), (b, a))
+                for key in ("source", "receiver")
+            ]
+            advised = Remedy(edits, f"exchange {a.name} and {b.name}", once=True)
+            about = about_files(a, b)
+            finding = Finding(Code.EXCHANGED, about, text, evidence, remedies=[advised])
+            return (ArrivalVerdict(finding),)
     exchanges = [(who, e) for who, e, at_m in _two_exchanged(found, off) if mends(at_m)]
     if len(exchanges) != 1:
         return ()
@@ -426,7 +452,16 @@ def _exchanged(found: _Arrivals) -> _Verdicts:
     )
     sources, receivers = exchange.get("sources", []), exchange.get("receivers", [])
     both = [m for m in found.measurements if m.source in sources or m.receiver in receivers]
-    return (ArrivalVerdict(Finding(Code.EXCHANGED, about_files(*both), text, exchange)),)
+    ends = {("sources", p.name): p for p in found.source if p.name in sources}
+    ends |= {("receivers", p.name): p for p in found.receiver if p.name in receivers}
+    edits = [
+        Edit(end, "position", tuple(other.position_m.tolist()))
+        for end, other in zip(ends, reversed(ends.values()), strict=True)
+    ]
+    words = " and ".join(name for _, name in ends)
+    advised = Remedy(edits, f"exchange the positions of {words}", once=True)
+    finding = Finding(Code.EXCHANGED, about_files(*both), text, exchange, remedies=[advised])
+    return (ArrivalVerdict(finding),)
 
 
 def _two_exchanged(
@@ -537,4 +572,8 @@ def _displacement(
     )
     evidence = {kind: name, "metres": size_m, "files": [m.where for m in chosen]}
     about = replace(about_files(*chosen), points_m=[point.position_m.tolist()])
-    return (ArrivalVerdict(Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence)),)
+    sd_m = round(size_m, 2)
+    opened = Remedy([Edit((f"{kind}s", name), "position_sd", sd_m)])
+    remedies = [opened] if sd_m <= 1.0 else []  # else to be measured again
+    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence, remedies=remedies)
+    return (ArrivalVerdict(finding),)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from roomfit.base.findings import About, Finding
+from roomfit.base.findings import About, Edit, Finding, Remedy
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
@@ -64,6 +64,11 @@ def about_files(*measurements: Measurement) -> About:
     return About(
         files=[m.where for m in measurements], pairs=[m.pair_name[:2] for m in measurements]
     )
+
+
+def of_files(measurements: Sequence[Measurement], key: str, value: Any, **how: Any) -> Remedy:
+    """Return that a key of some recordings is to be something; see `Edit`."""
+    return Remedy([Edit(("measurements", m.where), key, value, **how) for m in measurements])
 
 
 def file_name(m: Measurement) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.base.findings import Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Recorded, about_files, files_in_words
+from roomfit.checks.evidence import Recorded, about_files, files_in_words, of_files
 from roomfit.signals.measurement import MeasuredPair, Measurement
 from roomfit.signals.response import find_onset, times_s
 
@@ -60,7 +60,8 @@ def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
         'levels say nothing. Set level = "per-file", or export them without normalisation.'
     )
     numbers = {"peak": peak, "files": [m.where for m in files]}
-    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers)
+    advised = of_files(files, "level", "per-file")
+    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers, remedies=[advised])
 
 
 def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
@@ -88,7 +89,8 @@ def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
         'as by another gain: set level = "per-file", or correct the levels.'
     )
     numbers = {"step_db": step_db, "files": [m.where for m in files]}
-    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers)
+    advised = of_files(files, "level", "per-file")
+    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers, remedies=[advised])
 
 
 def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:

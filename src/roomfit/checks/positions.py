@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.checks.evidence import Evidence
 from roomfit.fit.displacement import AXES, WORTH_TELLING_M
 from roomfit.fit.fits import Displacement
@@ -28,6 +28,7 @@ _DELAY_GAIN = 15.0
 _POSITION_GAIN_PER_WINDOW = 0.1
 
 _KINDS = ("source", "receiver")
+_SDS_M = (0.005, 0.01, 0.02, 0.05)  # by laser, by tape, what is assumed, by steps
 
 
 def check_specified(evidence: Evidence) -> Iterator[Finding]:
@@ -35,12 +36,18 @@ def check_specified(evidence: Evidence) -> Iterator[Finding]:
     scene = evidence.measured.scene
     names = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
     if names:
+        both = (("sources", scene.sources), ("receivers", scene.receivers))
+        ends = [(kind, p.name) for kind, points in both for p in points if p.name in names]
         yield Finding(
             Code.POSITION_UNCERTAINTY_ASSUMED,
             _about_points(scene, [f"{kind} {name}" for name in names for kind in _KINDS]),
             f"No position_sd is specified for {', '.join(names)}; "
             f"{100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed.",
             {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},
+            remedies=[
+                Remedy([Edit(end, "position_sd", sd_m, now=[None]) for end in ends])
+                for sd_m in _SDS_M
+            ],
         )
 
 
@@ -53,6 +60,8 @@ def check_freed(evidence: Evidence) -> Iterator[Finding]:
     tests = evidence.fits.tests
     scale, delays, positions = tests.position_sd_scale, tests.freed_delays, tests.freed_positions
     if scale > 1.0:
+        larger = [Edit((f"{kind}s", "*"), "position_sd", scale, "scale") for kind in _KINDS]
+        words = f"position_sd {scale:.1f} times as large for all positions"
         yield Finding(
             Code.POSITION_UNCERTAINTY_INFLATED,
             About(),
@@ -61,6 +70,7 @@ def check_freed(evidence: Evidence) -> Iterator[Finding]:
             f"deviations {scale:.1f} times as large. Measure the positions again; the room's "
             "dimensions may be wrong, too.",
             {"stretch": scale},
+            remedies=[Remedy(larger, words, once=True)],
         )
     if delays is not None and delays.gain > _DELAY_GAIN:
         yield Finding(
@@ -70,6 +80,7 @@ def check_freed(evidence: Evidence) -> Iterator[Finding]:
             f"log-likelihood by {delays.gain:.0f}: without them intervals are too narrow, and no "
             "material is called identifiable. Use wall_delays = true.",
             {"log_likelihood_gain": delays.gain},
+            remedies=[Remedy([Edit(("identify",), "wall_delays", True)])],
         )
     if positions is None:
         return
@@ -83,6 +94,7 @@ def check_freed(evidence: Evidence) -> Iterator[Finding]:
             "their specified standard deviations: intervals are too narrow, and no material is "
             'called identifiable. Use positions = "fit".',
             {"log_likelihood_gain": gain, "n_unknowns": n_unknowns, "n_windows": n_windows},
+            remedies=[Remedy([Edit(("identify",), "positions", "fit")])],
         )
 
 
@@ -142,7 +154,29 @@ def check_displacement(evidence: Evidence) -> Iterator[Finding]:
         "Absorption compensates for it, so that no material is called identifiable. Measure it "
         "again, or state how well it is known: [groups] or lengths_sd.",
         numbers,
+        remedies=_opened(found, scene),
     )
+
+
+def _opened(found: Displacement, scene: Scene) -> list[Remedy]:
+    """Return the offset of positions, the length of a box, or both, fitted within a size."""
+    size_m, axis, what = round(float(np.hypot(found.size_m, found.sd_m)), 2), found.axis, found.kind
+
+    def wider(sd_m: object) -> tuple[float, ...]:
+        sds_m = np.broadcast_to(np.asarray(0.0 if sd_m is None else sd_m), 3).tolist()
+        return (*sds_m[:axis], size_m, *sds_m[axis + 1 :])
+
+    own, edits = {g.name: g.sd_m for g in scene.groups}, []
+    if what != "length":
+        table = ("groups", what if what in own else "everything")
+        if table[1] not in own:
+            edits.append(Edit(table, "members", ("*",)))
+        edits.append(Edit(table, "sd", wider(own.get(table[1]))))
+    if what in ("length", "wall"):
+        edits.append(Edit(("room",), "lengths_sd", wider(scene.room.lengths_sd_m)))
+    named = {"length": "the length", "wall": "all positions and the length"}.get(what, what)
+    words = f"{named} along {AXES[axis]} fitted within {size_m:g} m"
+    return [Remedy(edits, words)] if size_m <= 1.0 else []  # else to be measured again
 
 
 def _in_words(found: Displacement) -> str:

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from roomfit.base.bands import bands_in_words
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.measurements import median_decay_s
 from roomfit.fit.scattering import GRID
+from roomfit.fit.trace_plan import scattering_remedies
 from roomfit.model.eyring import schroeder_hz
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import pair_names
@@ -56,7 +57,8 @@ def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
             f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}."
         )
         numbers = {"materials": names, "scattering": value}
-        yield Finding(Code.SCATTERING_ASSUMED, about, text, numbers)
+        remedies = scattering_remedies(names, value)
+        yield Finding(Code.SCATTERING_ASSUMED, about, text, numbers, remedies=remedies)
 
 
 def check_scattering(evidence: Evidence) -> Iterator[Finding]:
@@ -86,6 +88,7 @@ def check_scattering(evidence: Evidence) -> Iterator[Finding]:
             "identifiable. Specify the scattering of these materials, or have it fitted: "
             'scattering = "fit".',
             {"materials": names, "scattering": trial.coefficient, "gain": gain},
+            remedies=scattering_remedies(names, trial.coefficient),
         )
 
 
@@ -110,6 +113,7 @@ def check_sources(evidence: Evidence) -> Iterator[Finding]:
                 "it where it is known."
             )
         gain = own.log_likelihood_gain
+        edit = Edit(("sources", own.source), "directivity", "fit", now=["omni"])
         yield Finding(
             Code.SOURCE_PATTERN_FITTED if own.source in fitted else Code.SOURCE_NOT_OMNIDIRECTIONAL,
             About(pairs=tuple(dict.fromkeys(pairs))),
@@ -117,6 +121,7 @@ def check_sources(evidence: Evidence) -> Iterator[Finding]:
             f"first-order directivity that radiates more towards ({towards}) raises the "
             f"log-likelihood by {gain:.0f}. {consequence}",
             {"source": own.source, "log_likelihood_gain": gain, "b": own.b.tolist()},
+            remedies=[] if own.source in fitted else [Remedy([edit])],
         )
 
 

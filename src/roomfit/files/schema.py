@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic_core import PydanticUndefined
 
 from roomfit.base.air import Air
 from roomfit.base.bands import OCTAVES_HZ, Bands, bands_between
@@ -45,9 +46,9 @@ Names of materials, sources and so on are left out: ``materials.NAME.key`` is ``
 BECAUSE = "because"  # why the range of a number ends where it does, in its schema
 
 
-def limited(low: float, high: float, why: str) -> Any:
+def limited(low: float, high: float, why: str, default: Any = PydanticUndefined) -> Any:
     """Return the range of a number of the file, and why it ends there: a refusal says it."""
-    return Field(ge=low, le=high, json_schema_extra={BECAUSE: why})
+    return Field(default, ge=low, le=high, json_schema_extra={BECAUSE: why})
 
 
 Fraction = Annotated[float, limited(0.0, 1.0, "a share of energy")]
@@ -132,7 +133,7 @@ class AirTable(Table):
 
     temperature_c: float = 20.0
     """Temperature in degrees Celsius, -20 to 50."""
-    temperature_sd_c: Annotated[float, limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
+    temperature_sd_c: float | None = limited(*SETTING_LIMITS["temperature_sd_c"], None)
     """Its standard deviation, from which the prior of the speed of sound follows."""
     humidity_percent: float = 50.0
     """Relative humidity, 0 to 100."""
@@ -179,9 +180,7 @@ class MaterialTable(Table):
     """Another material of the room that has the same absorption."""
     product: str | None = None
     """What the material is made of: a table [products.NAME]."""
-    delay_sd_ms: Annotated[float, limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None = (
-        None
-    )
+    delay_sd_ms: float | None = limited(0.0, 5.0, "ms; porous layers delay by tenths", None)
     """Standard deviation of the delay of its reflections in ms; 0: none. Default: 0.2."""
     impedance: Literal["spline", "constant"] | None = None
     """For `roomfit impedance`: what its reflection coefficient is like over frequency."""
@@ -192,9 +191,9 @@ class MaterialTable(Table):
 class ProductTable(Table):
     """``[products.NAME]``: what all materials of one product have in common."""
 
-    sd: Annotated[
-        float, limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
-    ] = PRODUCT_SD
+    sd: float = limited(
+        *PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as", PRODUCT_SD
+    )
     """How far, in logit, each material lies from what they have in common."""
     prior: Prior | str | None = None
     """Of the absorption that they have in common."""
@@ -230,14 +229,14 @@ class ObjectTable(Table):
     1 m2 of floor."""
     prior: AreaPrior | str | None = None
     """{mean, sd} of that area in m2, or an entry of the catalogue: it then is fitted."""
-    count: Annotated[float, limited(0.0, 1e5, "no hall seats more")] | None = None
+    count: float | None = limited(0.0, 1e5, "no hall seats more", None)
     """How many pieces there are. Default: 1."""
     floor_area_m2: ObjectArea | None = None
     """In place of `count`: floor in m2 on which people or seats stand, the area being of 1 m2."""
     outlines: list[Annotated[list[Position], Field(min_length=3)]] | None = None
     """In place of `count`: corners, x, y, z in m on the floor, of each block of seats. Its area is
     that of the block and of a strip along its free edges."""
-    edge_m: Annotated[float, limited(0.0, 2.0, "m; tables of seats have 0.5")] = 0.5
+    edge_m: float = limited(0.0, 2.0, "m; tables of seats have 0.5", 0.5)
     """Width of that strip, up to a wall or half an aisle; 0: none."""
     states: list[str] | None = None
     """States of the room in which it is there, "" as described. Default: all."""
@@ -283,9 +282,7 @@ class LoudspeakerTable(Table):
 
     directivity: str = "fit"
     """"fit", or a SOFA file of responses all around the loudspeaker."""
-    b_sd: Annotated[
-        float, limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
-    ] = 0.5
+    b_sd: float = limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out", 0.5)
     """Prior standard deviation of the coefficients of a pattern that is fitted."""
 
 
@@ -332,11 +329,9 @@ class DefaultsTable(Table):
     """SOFA: which receiver, from 0."""
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
     """What the first sample is: emission by a common clock, the direct sound, or unknown."""
-    latency_s: Annotated[float, limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
+    latency_s: float = limited(-10.0, 10.0, "s; cut the file beyond that", 0.0)
     """Delay of the measuring chain in s: from the first sample to emission."""
-    latency_sd_s: (
-        Annotated[float, limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
-    ) = None
+    latency_sd_s: float | None = limited(0.0, 0.1, 's; beyond that time_zero = "unknown"', None)
     """Its standard deviation in s. Default: 0.02 ms for emission, else 0.1 ms."""
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     """Files that share an unknown gain: those of a source, none, or all levels are absolute."""
@@ -404,7 +399,7 @@ class IdentifyTable(Table):
     """Whether positions, speed of sound and latencies are fitted within their priors."""
     wall_delays: bool = True
     """Whether delays of reflections are fitted."""
-    seed: Annotated[int, limited(*SETTING_LIMITS["seed"])] = 1
+    seed: int = limited(*SETTING_LIMITS["seed"], 1)
     """Of rays and annealing."""
 
 
@@ -415,13 +410,11 @@ class ImpedanceTable(Table):
     """Lowest frequency."""
     to_hz: Hertz = 1000.0
     """Highest frequency."""
-    step_hz: Annotated[
-        float, limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
-    ] = 10.0
+    step_hz: float = limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information", 10.0)
     """Distance of frequencies."""
-    tau_s: Annotated[
-        float, limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
-    ] = 0.015
+    tau_s: float = limited(
+        1e-3, 1.0, "s; shorter holds no reflection, longer all that is late", 0.015
+    )
     """Time constant of the exponential window."""
     gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
     """Which gains are unknown."""
@@ -429,7 +422,7 @@ class ImpedanceTable(Table):
     """Fitted within their standard deviations, or exact."""
     speed_of_sound: Literal["fit", "fixed"] = "fit"
     """Fitted, or exact."""
-    random_starts: Annotated[int, limited(0, 100, "each costs as much as a fit")] = 3
+    random_starts: int = limited(0, 100, "each costs as much as a fit", 3)
     """Starts at random besides the usual one."""
 
 
@@ -440,11 +433,9 @@ class DesignTable(Table):
     """Positions for sources. Left out: spread evenly."""
     receivers: list[Position] = []
     """Positions for receivers."""
-    new_sources: Annotated[int, limited(0, 1000, "candidates are traced one by one")] = 8
+    new_sources: int = limited(0, 1000, "candidates are traced one by one", 8)
     """How many positions for sources are generated."""
-    grid_m: Annotated[float, limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None = (
-        None
-    )
+    grid_m: float | None = limited(0.1, 100.0, "m; nearer positions tell nothing new", None)
     """Spacing of a grid of receivers."""
     source_heights_m: tuple[Height, Height] = (1.0, 2.0)
     """Lowest and highest."""
@@ -452,27 +443,25 @@ class DesignTable(Table):
     """Lowest and highest."""
     region_m: tuple[Position, Position] | None = None
     """Lower and upper corner of a box that contains all generated positions."""
-    wall_distance_m: Annotated[
-        float, limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
-    ] = 1.0
+    wall_distance_m: float = limited(
+        0.01, 100.0, "m; 0 is in the wall, and no room is so wide", 1.0
+    )
     """Least distance of generated positions from walls and furniture."""
-    source_distance_m: (
-        Annotated[float, limited(0.1, 1000.0, "m; nearer is the source itself")] | None
-    ) = None
+    source_distance_m: float | None = limited(0.1, 1000.0, "m; nearer is the source itself", None)
     """Least distance of a receiver from its source."""
-    receiver_distance_m: Annotated[float, limited(0.0, 1000.0, "m; no room is so long")] = 2.0
+    receiver_distance_m: float = limited(0.0, 1000.0, "m; no room is so long", 2.0)
     """Least distance of chosen receivers from each other."""
-    most_sources: Annotated[int, limited(1, 1000, "candidates are traced one by one")] | None = None
+    most_sources: int | None = limited(1, 1000, "candidates are traced one by one", None)
     """How many different sources a design may have."""
     criterion: Literal["determinant", "mean", "worst"] = "determinant"
     """What is minimised."""
-    decay_range_db: Annotated[float, limited(10.0, 120.0, "dB; no recording has more")] = 45.0
+    decay_range_db: float = limited(10.0, 120.0, "dB; no recording has more", 45.0)
     """Expected decay above the noise."""
     position_sd: Metre = 0.02
     """Expected standard deviation of positions."""
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     """As of measurements."""
-    draws: Annotated[int, limited(1, 100, "each costs as much as a design")] = 2
+    draws: int = limited(1, 100, "each costs as much as a design", 2)
     """Of the absorption from its prior."""
 
 
@@ -538,9 +527,9 @@ class ReverberationTable(Table):
     """CSV table: a line of centres in Hz, then a line of decay times in s for each position."""
     formula: Literal["Sabine", "Eyring", "Arau-Puchades", "Fitzroy"] = "Eyring"
     """By which `roomfit predict` and `treat` go; `reverberation` shows all four."""
-    volume_m3: Annotated[float, limited(1.0, 1e7, "m3; of rooms")] | None = None
+    volume_m3: float | None = limited(1.0, 1e7, "m3; of rooms", None)
     """Where there is no [room]."""
-    surface_m2: Annotated[float, limited(1.0, 1e6, "m2; of rooms")] | None = None
+    surface_m2: float | None = limited(1.0, 1e6, "m2; of rooms", None)
     """Where there is no [room]."""
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.fit.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
@@ -117,6 +118,7 @@ def plan_trace(
                 f"The scattering of {', '.join(unspecified)} is unspecified; "
                 f"{settings.default_scattering:g} was assumed.",
                 {"materials": unspecified, "scattering": settings.default_scattering},
+                remedies=scattering_remedies(unspecified, settings.default_scattering),
             )
         )
     specified = [sampling_scattering(k) for k in priors]
@@ -248,4 +250,12 @@ def _with_rays(
             "times that.",
             {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger},
         ),
+    )
+
+
+def scattering_remedies(materials: Sequence[str], value: float) -> tuple[Remedy, ...]:
+    """Return that scattering is fitted, or stated as what was taken, where none is stated."""
+    return tuple(
+        Remedy([Edit(("materials", m), "scattering", said, now=[None, 0.0]) for m in materials])
+        for said in ("fit", float(value))
     )

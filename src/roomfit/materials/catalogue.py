@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from roomfit.base.arguments import did_you_mean, nearest, read_only
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.logit import expit, logit
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import (
@@ -306,7 +306,14 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
     evidence = {"materials": names, "entries": entries}
-    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(materials=names), sentence, evidence),)
+    tables_of = {k.name: ("products", k.product) for k in priors if k.product}
+    remedies = [
+        Remedy([Edit(tables_of.get(name, ("materials", name)), "prior", entry, now=[None])])
+        for name, found in entries.items()
+        for entry in found
+    ]
+    about = About(materials=names)
+    return (Finding(Code.BROAD_PRIOR_ASSUMED, about, sentence, evidence, remedies=remedies),)
 
 
 def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from roomfit.base.arguments import check_range, float_array
 from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding, Severity
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy, Severity
 from roomfit.base.typing import FloatArray
 
 # Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
@@ -299,8 +299,9 @@ def compare_onset(
     )
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
     graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
-    about = About(files=[where])
-    return (Finding(Code.TIME_ZERO_MISMATCH, about, sentence, evidence, graded=graded),)
+    advised = Remedy([Edit(("measurements", where), "time_zero", "direct", now=["emission"])])
+    about, code = About(files=[where]), Code.TIME_ZERO_MISMATCH
+    return (Finding(code, about, sentence, evidence, graded=graded, remedies=[advised]),)
 
 
 def time_zero_from_direct(

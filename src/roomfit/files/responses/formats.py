@@ -16,7 +16,7 @@ import soundfile
 from roomfit.base.arguments import ARCHIVE_DAMAGE, did_you_mean
 from roomfit.base.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.typing import FloatArray
 from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.formats.matlab import Variables, mat_variables
@@ -180,7 +180,9 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
                 f"{name} was normalised by REW and does not say what its peak was: its level "
                 "means nothing beside that of other files."
             )
-            findings.append(Finding(Code.LEVEL_UNKNOWN, About(files=[name]), text))
+            advised = Remedy([Edit(("measurements", name), "level", "per-file")])
+            about = About(files=[name])
+            findings.append(Finding(Code.LEVEL_UNKNOWN, about, text, remedies=[advised]))
     if "ir window has been applied" in notes:
         text = (
             f"{name} was exported with REW's window applied, which bends the late decay and "
@@ -194,8 +196,9 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
             'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
             "reference."
         )
+        advised = Remedy([Edit(("measurements", name), "time_zero", "direct", now=["emission"])])
         about, evidence = About(files=[name]), {"peak_s": peak_s}
-        findings.append(Finding(Code.TIME_ZERO_AT_PEAK, about, text, evidence))
+        findings.append(Finding(Code.TIME_ZERO_AT_PEAK, about, text, evidence, remedies=[advised]))
     return Recording(pressure, rate_hz, start_s, tuple(findings))
 
 
