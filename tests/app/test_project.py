@@ -20,13 +20,13 @@ import soundfile
 from roomfit.app import project, views
 from roomfit.app.jobs import Bench, Worker
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Edit, Finding
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import write_json_atomically
 from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
-from roomfit.files.edits import Edit, apply, preview
+from roomfit.files.edits import apply, preview
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.room.mesh import refuse
 from scans import HEIGHT_M, furniture, scan, scan_usdz
@@ -582,30 +582,20 @@ def test_what_a_finding_advises_resolves_it(
     assert code.value not in [f["code"] for f in again["findings"]] and not again["advised"]
 
 
-def test_a_remedy_that_counts_from_old_values_is_none_of_a_campaign_that_was_changed(
-    tmp_path: Path,
-) -> None:
-    file = project.campaign_file(tmp_path)
-    file.write_text(WRITTEN)
-    campaign = read_campaign(file, to_fit=False)
-    found = [
-        Finding(Code.POSITION_INCONSISTENT, About(), "..."),
-        Finding(Code.POSITION_UNCERTAINTY_INFLATED, About(), "...", {"stretch": 2.0}),
-    ]
-    assert [a["code"] for a in views.advice_view(found, campaign)] == [f.code.value for f in found]
-    left = views.advice_view(found, campaign, changed=True)
-    assert [a["code"] for a in left] == ["position-inconsistent"]
-
-
 def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was_edited(
     tmp_path: Path,
 ) -> None:
     project.campaign_file(tmp_path).write_text(WRITTEN)
     own = {"severity": "serious", "sentence": "..."}
+
+    def remedy(key: str, value: object, *, once: bool = False) -> dict[str, object]:
+        edit = {"table": ["identify"], "key": key, "value": value}
+        return {"edits": [edit], "words": "", "once": once}
+
     inflated = {"code": "position-uncertainty-inflated", "severity": "warning", "sentence": "..."}
     found = [
-        {**own, "code": "position-inconsistent", "evidence": {}},
-        {**inflated, "evidence": {"stretch": 2.0}},
+        {**own, "code": "position-inconsistent", "remedies": [remedy("positions", "fit")]},
+        {**inflated, "remedies": [remedy("wall_delays", False, once=True)]},
     ]
     own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
     own |= {"identifiable": [True], "area_m2": 12.0}
@@ -625,18 +615,3 @@ def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was
     assert codes() == ["position-inconsistent"]
     file.write_text(file.read_text().replace("1000.0", "500.0"))
     assert codes() == []
-
-
-def test_findings_of_one_code_are_one_choice_of_all_of_them_first(tmp_path: Path) -> None:
-    row = '\n[[measurements]]\nsource = "S1"\nreceiver = "R 1"\nfile = "{}.wav"\n'
-    project.campaign_file(tmp_path).write_text(WRITTEN + row.format("a") + row.format("b"))
-    campaign = read_campaign(project.campaign_file(tmp_path), to_fit=False)
-    found = [
-        Finding(Code.TIME_ZERO_MISMATCH, About(files=[f"{name}.wav"]), "...", graded=severity)
-        for name, severity in (("a", "warning"), ("b", "serious"))
-    ]
-    (entry,) = views.advice_view(found, campaign)
-    assert [o["words"] for o in entry["options"]] == [
-        f'time_zero = "direct" for {which}' for which in ("all 2 recordings", "a.wav", "b.wav")
-    ]
-    assert (entry["n"], entry["severity"]) == (2, "serious")

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from roomfit.base.errors import InputError
-from roomfit.files.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo
+from roomfit.base.findings import Edit
+from roomfit.files.edits import Preview, apply, can_undo, edited_text, preview, undo
 
 WRITTEN = """# of my room
 [room]

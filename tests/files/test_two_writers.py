@@ -16,9 +16,10 @@ import pytest
 
 from roomfit.app import project
 from roomfit.base.errors import FolderInUseError, InputError
+from roomfit.base.findings import Edit
 from roomfit.cli.init import draft_to_folder
 from roomfit.files import edits
-from roomfit.files.edits import Edit, sole_editor
+from roomfit.files.edits import sole_editor
 from roomfit.files.rooms.model import RoomSpec
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX")

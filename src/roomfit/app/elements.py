@@ -17,6 +17,7 @@ from nicegui.element import Element
 from roomfit.app import project
 from roomfit.app.jobs import Bench
 from roomfit.base.errors import InputError
+from roomfit.base.findings import Edit
 from roomfit.base.table import Cell, Table, Value, html_of
 from roomfit.files import edits
 
@@ -281,7 +282,7 @@ class Advice:
         with saying_errors(self.place):
             wanted = edits.preview(
                 self.file,
-                [edits.Edit(tuple(e["table"]), e["key"], e["value"]) for e in option["edits"]],
+                [Edit(tuple(e["table"]), e["key"], e["value"]) for e in option["edits"]],
             )
             lines = [
                 f"<dt><code>{escape(table)}</code></dt>"

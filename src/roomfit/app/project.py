@@ -16,13 +16,12 @@ from typing import Any
 
 from roomfit.base.arguments import check_known, check_name
 from roomfit.base.errors import InputError
+from roomfit.base.findings import Edit
 from roomfit.base.whole_files import write_text_atomically
 from roomfit.cli.export import export_result
 from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.files.draft import Positions, draft_campaign, read_positions
-from roomfit.files.file_names import matching_files
 from roomfit.files.edits import (
-    Edit,
     edited_text,
     read_beside,
     rewrite,
@@ -30,6 +29,7 @@ from roomfit.files.edits import (
     value_text,
     without_tables,
 )
+from roomfit.files.file_names import matching_files
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.files.responses.sweep import response_name
 from roomfit.files.rooms import READERS

@@ -296,8 +296,8 @@ class About:
 class Edit:
     """One key of one table of a campaign file, and what it is to be.
 
-    Of a finding, ``("measurements", FILE)`` is a recording as `About` names it, and ``"*"`` in
-    place of a name every source or receiver.
+    Of a finding, ``("measurements", FILE)`` is a recording as `About` names it, with ``"*"`` in
+    place of a name those that the finding is about, or every source or receiver.
     """
 
     table: tuple[str | int, ...]  # ("sources", "LS1"), or ("measurements", 3), counted from 1

@@ -192,12 +192,15 @@ def _places(
 ) -> Iterator[tuple[tuple[str | int, ...], Any]]:
     """Yield the tables that an edit means, a recording by its place, and what is said there."""
     kind, *names = edit.table
-    points = {"sources": campaign.source_tables, "receivers": campaign.receiver_tables}.get(
-        str(kind)
-    )
+    tables: Mapping[str, Mapping[str, Any]] = {
+        "sources": campaign.source_tables,
+        "receivers": campaign.receiver_tables,
+    }
+    points = tables.get(str(kind))
     if kind == "measurements":
-        for i in _concerned(str(names[0]), finding.about.pairs, campaign):
-            yield (kind, i), getattr(campaign.measurements[i], edit.key)
+        for file in finding.about.files if names == ["*"] else map(str, names):
+            for i in _concerned(file, finding.about.pairs, campaign):
+                yield (kind, i), getattr(campaign.measurements[i], edit.key)
     elif points is not None:
         for name in points if names == ["*"] else names:
             if name in points:

@@ -420,10 +420,6 @@ def result_content(
     ``posterior`` is the Gaussian of logit absorption in each band, where the answer has it.
     `roomfit.base.whole_files.json_text` turns it into text.
     """
-    from roomfit.checks.verdict import what_remains
-
-    remains, geometry = what_remains(answer), answer.geometry
-    interval = ("mean_absorption", "lower95", "upper95")
     content: dict[str, Any] = {
         "format": "roomfit-result",
         "format_version": 1,
@@ -443,6 +439,16 @@ def result_content(
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    return _stated(content | _sometimes(answer, usable))
+
+
+def _sometimes(answer: Result, usable: Sequence[str]) -> dict[str, Any]:
+    """Return what some results have: states, terms of the uncertainty, what was fitted along."""
+    from roomfit.checks.verdict import what_remains
+
+    remains, geometry = what_remains(answer), answer.geometry
+    interval = ("mean_absorption", "lower95", "upper95")
+    content: dict[str, Any] = {}
     if remains.voids:
         content["usable"] = usable
         content["remains"] = {
@@ -485,7 +491,7 @@ def result_content(
             "told_sd": geometry.prior_sd,
         }
     content["posterior"] = posterior_content(absorption_posterior(answer))
-    return _stated(content)
+    return content
 
 
 _FIT = ("method", "model", "cost", "models", "evaluations", "converged", "seed", "reasons")

@@ -299,7 +299,7 @@ def compare_onset(
     )
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
     graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
-    advised = Remedy([Edit(("measurements", where), "time_zero", "direct", now=["emission"])])
+    advised = Remedy([Edit(("measurements", "*"), "time_zero", "direct", now=["emission"])])
     about, code = About(files=[where]), Code.TIME_ZERO_MISMATCH
     return (Finding(code, about, sentence, evidence, graded=graded, remedies=[advised]),)
 
