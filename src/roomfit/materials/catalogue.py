@@ -306,10 +306,10 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
     evidence = {"materials": names, "entries": entries}
-    tables_of = {k.name: ("products", k.product) for k in priors if k.product}
+    owners = [("products", k.product) if k.product else ("materials", k.name) for k in broad]
     remedies = [
-        Remedy([Edit(tables_of.get(name, ("materials", name)), "prior", entry, now=[None])])
-        for name, found in entries.items()
+        Remedy([Edit(owner, "prior", entry, now=[None])])
+        for owner, found in zip(owners, entries.values(), strict=True)
         for entry in found
     ]
     about = About(materials=names)
