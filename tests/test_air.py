@@ -47,64 +47,6 @@ def test_attenuation_is_that_of_the_published_table(
     np.testing.assert_allclose(found[published > 100], published[published > 100], atol=0.51)
 
 
-def bass_attenuation_np_per_m(
-    f_hz: float, temperature_k: float, percent: float, pressure_pa: float
-):
-    """Return the attenuation of pressure by Bass et al. in nepers a metre, written out anew.
-
-    H. E. Bass, L. C. Sutherland, A. J. Zuckerwar, D. T. Blackstock, D. M. Hester, "Atmospheric
-    absorption of sound: further developments", J. Acoust. Soc. Am. 97, 680-683 (1995), in scaled
-    form: frequencies over pressure, the saturation pressure by the long formula of Goff and Gratch
-    as it is given there, and both relaxations by their characteristic temperatures.
-    """
-    atmospheres = pressure_pa / 101_325.0
-    triple_k, reference_k = 273.16, 293.15
-    ratio = triple_k / temperature_k
-    exponent = (
-        10.79586 * (1.0 - ratio)
-        - 5.02808 * np.log10(1.0 / ratio)
-        + 1.50474e-4 * (1.0 - 10.0 ** (-8.29692 * (1.0 / ratio - 1.0)))
-        - 4.2873e-4 * (1.0 - 10.0 ** (-4.76955 * (1.0 / ratio - 1.0)))
-        - 2.2195983
-    )
-    h = percent * 10.0**exponent / atmospheres  # of molecules, %
-    of_oxygen = 24.0 + 4.04e4 * h * (0.02 + h) / (0.391 + h)
-    of_nitrogen = (reference_k / temperature_k) ** 0.5 * (
-        9.0 + 280.0 * h * np.exp(-4.17 * ((reference_k / temperature_k) ** (1.0 / 3.0) - 1.0))
-    )
-    F = f_hz / atmospheres
-    classical = 1.84e-11 * (temperature_k / reference_k) ** 0.5
-    relaxing = 0.0
-    # 2 pi / 35 and 2 pi / 35 X exp(-theta / T) theta^2 / T^2 of each gas over its speed, as fitted
-    for strength, theta_k, own in (
-        (0.01275, 2239.1, of_oxygen),
-        (0.1068, 3352.0, of_nitrogen),
-    ):
-        relaxing += strength * np.exp(-theta_k / temperature_k) * own / (own**2 + F**2)
-    relaxing *= (reference_k / temperature_k) ** 2.5
-    return atmospheres * F**2 * (classical + relaxing)
-
-
-@pytest.mark.parametrize("temperature_c", [-10.0, 5.0, 20.0, 35.0])
-@pytest.mark.parametrize("humidity_percent", [10.0, 45.0, 90.0])
-@pytest.mark.parametrize("pressure_kpa", [80.0, 101.325])
-def test_attenuation_is_that_of_bass_and_others(temperature_c, humidity_percent, pressure_kpa):
-    """Of energies and of pressures. The short formula of ISO for saturation differs by 0.4 %."""
-    air = Air(temperature_c, humidity_percent, pressure_kpa)
-    octaves = bands_between("octave", 63, 8000)
-    expected = np.array(
-        [
-            bass_attenuation_np_per_m(
-                f, temperature_c + 273.15, humidity_percent, 1e3 * pressure_kpa
-            )
-            for f in octaves.exact_centres_hz
-        ]
-    )
-    np.testing.assert_allclose(attenuation_per_m(air, octaves), 2.0 * expected, rtol=0.006)
-    found = pressure_decay_per_m(air, octaves.exact_centres_hz)
-    np.testing.assert_allclose(found, expected, rtol=0.006)
-
-
 def test_energies_and_pressures_fall_by_the_decibels_of_the_standard():
     """ISO 9613-2:1996, table 2: 22.9 dB over a kilometre at 4 kHz, 20 degrees C and 70 %."""
     air = Air(20.0, 70.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import itertools
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.candidates import (
     Region,
     compatible_positions,
-    even_part,
     grid_positions,
     least_source_distance_m,
     region_of,
@@ -42,7 +40,7 @@ from roomfit.design.positions import Design
 from roomfit.design.prior import Unknowns, information_from_priors
 from roomfit.files.campaign import Campaign
 from roomfit.paper.room import paper_scene
-from roomfit.room.scene import Scene, shoebox_room
+from roomfit.room.scene import Scene
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command, write_campaign
 
@@ -127,29 +125,6 @@ def test_the_choice_is_within_two_per_cent_of_the_best_of_all(criterion):
     assert min(missed) > -1e-9
     assert max(missed) <= 0.02, missed
     assert np.median(missed) <= 1e-9, missed
-
-
-def test_the_order_puts_first_what_helps_most():
-    rng = np.random.default_rng(3)
-    known, found = unknowns(rng), pairs(rng, [0, 0, 1, 1, 2, 2])
-    chosen = choose(known, found, free_rules(found.gain.tolist()), 3, "mean", rng=fresh())
-    alone = [float(score(known, information_of(known, found, [c]), "mean")) for c in chosen]
-    assert alone[0] == min(alone)
-
-
-def test_a_pair_that_was_measured_already_moves_the_choice():
-    """Two pairs inform on the first wall and one on the second: the measured one decides."""
-    strong, weak = np.diag([9.0, 0.0, 0.0, 1.0]), np.diag([0.0, 4.0, 0.0, 1.0])
-    matrices = np.tile(np.stack([strong, strong, weak])[:, None, None], (1, 1, 1, 1, 1))
-    known = Unknowns(
-        np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
-        np.ones(3),
-    )  # fmt: skip
-    found = PairInformation(matrices, np.array([0, 1, 2]))
-    rules = free_rules([0, 1, 2])
-    assert choose(known, found, rules, 1, "mean", rng=fresh())[0] in (0, 1)
-    rules = replace(rules, candidate=np.array([False, True, True]), fixed=(0,))
-    assert choose(known, found, rules, 1, "mean", rng=fresh()) == (2,)
 
 
 def test_rules_are_obeyed_by_the_choice_and_by_chance():
@@ -242,13 +217,6 @@ def test_a_grid_is_centred_and_evenly_spaced():
 def test_the_least_distance_from_a_source_is_that_of_the_standard():
     """V = 200 m3, c = 340 m/s, T = 1 s: 2 sqrt(200 / 340) = 1.534 m."""
     assert least_source_distance_m(200.0, 340.0, 1.0) == pytest.approx(1.5339, abs=1e-4)
-
-
-def test_a_part_of_the_pairs_leaves_every_source_its_share():
-    source = np.repeat([0, 1, 2], [50, 30, 40])
-    part = even_part(source, 30, np.random.default_rng(1))
-    assert np.bincount(source[part]).tolist() == [10, 10, 10]
-    assert even_part(source, 500, np.random.default_rng(1)).size == 120
 
 
 # The command, on a small box in one band, by energies.
@@ -354,23 +322,6 @@ def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(
         content["assumed"]["absorption_area_m2"]["people"], found.absorption[own]
     )
     assert "people, m2" in str(found)
-
-
-def test_where_objects_alone_are_unknown_random_designs_are_in_square_metres_as_well(tmp_path):
-    """Before the first pair all designs have the same width, in the unit of the chosen one."""
-    given = ("scattering = 0.0", "scattering = 0.0\nabsorption = 0.45")
-    path = write_campaign(tmp_path, ENERGY, given)
-    people = "[objects.people]\nprior = {mean = 3, sd = 1}\n"
-    path.write_text(path.read_text() + people + DESIGN)
-    campaign = roomfit.read_campaign(path, to_fit=False)
-    found = designed(campaign, n_candidates=4, number=1, n_random=2)
-    assert found.compared.tolist() == [n == "people" for n in found.materials]
-    means = found.widths[:, found.compared].mean(axis=(1, 2))
-    assert means[0] > 2.0  # a share of energy would be below 1
-    np.testing.assert_allclose(found.random_means[:, 0], means[0], rtol=1e-12)
-    lines = str(found).splitlines()
-    (said,) = [line for line in lines if "Widest interval before: people" in line]
-    assert re.search(r" Hz, \d\.\d{3} m2; expected afterwards \d\.\d{3} m2\.$", said)
 
 
 def test_a_campaign_without_measurements_can_be_designed(tmp_path):
@@ -494,21 +445,3 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     found = designed(campaign, n_candidates=2, number=1, n_random=0)
     promised, reported = found.widths[0].mean(), (answer.upper95 - answer.lower95).mean()
     assert 0.67 < promised / reported < 1.5
-
-
-def test_a_region_is_between_two_heights_and_within_its_box():
-    """Heights above the floor, wherever that is; the box is in the room's own frame."""
-    room = shoebox_room((5.0, 4.0, 3.0), "plaster")
-    mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + np.array([0.0, 0.0, 10.0]))
-    raised = replace(room, mesh=mesh)
-    options = roomfit.DesignOptions(wall_distance_m=0.7)
-    found = region_of(raised, (1.0, 2.0), options)
-    assert found.low_m.tolist() == [0.0, 0.0, 11.0] and found.high_m.tolist() == [5.0, 4.0, 12.0]
-    assert found.wall_distance_m == 0.7
-    box = replace(options, region_m=((1.0, -1.0, 10.5), (9.0, 2.0, 11.5)))
-    found = region_of(raised, (1.0, 2.0), box)
-    assert found.low_m.tolist() == [1.0, 0.0, 11.0] and found.high_m.tolist() == [5.0, 2.0, 11.5]
-    with pytest.raises(InputError, match="ends below its beginning"):
-        region_of(
-            raised, (1.0, 2.0), replace(options, region_m=((1.0, 1.0, 10.0), (2.0, 0.5, 13.0)))
-        )
