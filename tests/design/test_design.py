@@ -20,7 +20,6 @@ from roomfit.design.candidates import (
     Region,
     compatible_positions,
     grid_positions,
-    least_source_distance_m,
     region_of,
     spread_positions,
 )
@@ -214,11 +213,6 @@ def test_a_grid_is_centred_and_evenly_spaced():
         spread_positions(room, region._replace(wall_distance_m=2.0), 1, 1)
 
 
-def test_the_least_distance_from_a_source_is_that_of_the_standard():
-    """V = 200 m3, c = 340 m/s, T = 1 s: 2 sqrt(200 / 340) = 1.534 m."""
-    assert least_source_distance_m(200.0, 340.0, 1.0) == pytest.approx(1.5339, abs=1e-4)
-
-
 # The command, on a small box in one band, by energies.
 
 DESIGN = """
@@ -344,7 +338,7 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     assert by_rule.source_distance_m > 0.8  # ISO 3382's, from the volume and the decay
     with pytest.raises(InputError, match="far enough apart"):
         designed(campaign, source_distance_m=9.0)
-    with pytest.raises(InputError, match="below 1"):
+    with pytest.raises(InputError, match="out of range"):
         designed(campaign, n_candidates=0)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import count
 from typing import NamedTuple, get_args
 
 import numpy as np
 
-from roomfit.base.arguments import check_known
+from roomfit.base.arguments import check_known, check_range
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
@@ -58,16 +59,14 @@ class DesignOptions:
     level: Level = "per-source"  # what measurements will share a gain
 
     def __post_init__(self) -> None:
-        for name, number in (
-            ("candidates", self.n_candidates),
-            ("measurements to choose", self.number),
-            ("sources", self.most_sources),
-            ("draws", self.n_draws),
-        ):
-            if number is not None and number < 1:
-                what = f"the number of {name} is below 1"
-                hint = "leave it out, or write 1 or more"
-                raise InputError(what, found=str(number), needed="1 or more", hint=hint)
+        counts = {
+            "candidates": self.n_candidates,
+            "measurements to choose": self.number,
+            "sources": self.most_sources,
+            "draws": self.n_draws,
+        }
+        for name, number in counts.items():
+            check_range(f"the number of {name}", 1 if number is None else number, 1, np.inf)
         if self.criterion is not None:
             check_known("unknown criterion", self.criterion, get_args(Criterion))
         check_known("unknown level", self.level, get_args(Level))
@@ -90,18 +89,14 @@ def region_of(room: Room, heights_m: tuple[float, float], options: DesignOptions
     """Return the region of a room between two heights above its lowest point, cut by a box."""
     vertices = room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    floor = float(low[2])
-    low = np.maximum(low, [*low[:2], floor + heights_m[0]])
-    high = np.minimum(high, [*high[:2], floor + heights_m[1]])
+    high = np.minimum(high, [*high[:2], low[2] + heights_m[1]])
+    low = np.maximum(low, [*low[:2], low[2] + heights_m[0]])
     if options.region_m is not None:
         low, high = np.maximum(low, options.region_m[0]), np.minimum(high, options.region_m[1])
     if np.any(low > high):
-        raise InputError(
-            "a region ends below its beginning",
-            found=f"from {low.tolist()} to {high.tolist()} m",
-            needed="the lower corner first",
-            hint="exchange its two corners, or name a higher range of heights",
-        )
+        what, found = "a region ends below its beginning", f"{low.tolist()} to {high.tolist()} m"
+        hint = "exchange its two corners, or name a higher range of heights"
+        raise InputError(what, found=found, needed="the lower corner first", hint=hint)
     return Region(low, high, options.wall_distance_m)
 
 
@@ -152,15 +147,6 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
     if not len(positions):
         raise _too_narrow(region, 0, 1)
     return positions
-
-
-def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) -> float:
-    """Return how far from a source a receiver must be at least: ``2 sqrt(V / (c T))``.
-
-    ISO 3382-1:2009, 4.3.2 and ISO 3382-2:2008, 4.3.3: nearer, direct sound is too strong for a
-    decay to be read from.
-    """
-    return float(2.0 * np.sqrt(volume_m3 / (speed_m_s * decay_s)))
 
 
 def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
@@ -219,7 +205,16 @@ def design_candidates(
     every = np.array([(i, j) for i in range(len(sources)) for j in range(len(receivers))])
     was = np.array([(int(s), int(r)) in measured for s, r in every])
     whole = Scene(existing.room, sources, receivers, every, existing.air)
-    possible = _far_enough(whole, was, source_distance_m)
+    distance_m = distances_m(whole)
+    possible = np.flatnonzero(~was & (distance_m >= source_distance_m))
+    if not possible.size:
+        farthest_m = distance_m[~was].max(initial=0.0)
+        raise InputError(
+            "no pair of source and receiver is far enough apart",
+            found=f"{int((~was).sum())} pairs, the farthest {farthest_m:.2f} m apart",
+            needed=f"at least {source_distance_m:.2f} m",
+            hint="set source_distance_m in [design]",
+        )
     n, rng = options.n_candidates, np.random.default_rng(seed)
     possible = possible[even_part(every[possible, 0], n, rng)]
     fixed = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)
@@ -243,21 +238,6 @@ def design_candidates(
     return scene, rules, (few,)
 
 
-def _far_enough(whole: Scene, was: BoolArray, source_distance_m: float) -> IntArray:
-    """Return the pairs that have not been measured and whose receiver is far from its source."""
-    distance_m = distances_m(whole)
-    possible = np.flatnonzero(~was & (distance_m >= source_distance_m))
-    if not possible.size:
-        raise InputError(
-            "no pair of source and receiver is far enough apart",
-            found=f"{int((~was).sum())} pairs, the farthest "
-            f"{distance_m[~was].max(initial=0.0):.2f} m apart",
-            needed=f"at least {source_distance_m:.2f} m",
-            hint="set source_distance_m in [design]",
-        )
-    return possible
-
-
 def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
     """Return n of many pairs, drawn so that each source keeps as many as the others, in order.
 
@@ -273,20 +253,16 @@ def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
 
 
 def _new_sources(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
-    if options.sources:
-        positions = np.array(options.sources)
-    elif options.new_sources == 0:
-        return ()
-    else:
+    positions = np.array(options.sources).reshape(-1, 3)
+    if not len(positions) and options.new_sources:
         region = region_of(existing.room, options.source_heights_m, options)
         positions = spread_positions(existing.room, region, options.new_sources, seed)
     return _named("S", positions, existing.sources, options.position_sd_m)
 
 
 def _new_receivers(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
-    if options.receivers:
-        positions = np.array(options.receivers)
-    else:
+    positions = np.array(options.receivers).reshape(-1, 3)
+    if not len(positions):
         region = region_of(existing.room, options.receiver_heights_m, options)
         if options.grid_m is not None:
             positions = grid_positions(existing.room, region, options.grid_m)
@@ -300,10 +276,8 @@ def _named(
 ) -> tuple[Point, ...]:
     """Return points named by a letter and a number that is not taken yet."""
     taken = {p.name for p in existing}
-    numbers = (
-        i for i in range(1, len(positions_m) + len(taken) + 1) if f"{letter}{i}" not in taken
-    )
-    return tuple(Point(f"{letter}{next(numbers)}", at.round(3), sd_m) for at in positions_m)
+    names = (name for i in count(1) if (name := f"{letter}{i}") not in taken)
+    return tuple(Point(next(names), at.round(3), sd_m) for at in positions_m)
 
 
 def _used(whole: Scene, pairs: IntArray) -> Scene:

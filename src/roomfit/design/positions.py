@@ -17,7 +17,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress, part
-from roomfit.design.candidates import DesignOptions, design_candidates, least_source_distance_m
+from roomfit.design.candidates import DesignOptions, design_candidates
 from roomfit.design.choose import (
     Criterion,
     PairInformation,
@@ -162,7 +162,13 @@ def design(
     settings = Settings() if settings is None else settings
     after_fit = absorption is not None
     known = _prior_information(scene, materials, bands, absorption, options, settings)
-    distance_m = _source_distance_m(scene, options, known)
+    distance_m = options.source_distance_m
+    if distance_m is None:
+        decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
+        volume, speed = volume_m3(scene.room.mesh), speed_of_sound_m_s(scene.air)
+        # 2 sqrt(V / (c T)), ISO 3382-1:2009, 4.3.2 and ISO 3382-2:2008, 4.3.3: nearer, direct sound
+        # is too strong for a decay to be read from
+        distance_m = float(2.0 * np.sqrt(volume / (speed * decay_s)))
     candidates, rules, few = design_candidates(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
@@ -237,15 +243,6 @@ def _prior_information(
             hint="use a result of these bands, or set from_hz and to_hz to its own",
         )
     return information_from_fit(complete_priors(names, materials, own), absorption)
-
-
-def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInformation) -> float:
-    """Return the least distance of a receiver from its source, ISO 3382's where unspecified."""
-    if options.source_distance_m is not None:
-        return options.source_distance_m
-    decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
-    volume = volume_m3(scene.room.mesh)
-    return least_source_distance_m(volume, speed_of_sound_m_s(scene.air), decay_s)
 
 
 def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
