@@ -28,16 +28,14 @@ from roomfit.demo.boxes import (
     add_noise,
     box_departures,
     box_lattice,
-    diffuse_echogram,
-    modulated_noise,
     pressure_of_images,
-    specular_box,
     true_box,
 )
 from roomfit.model.patterns import UnknownDirectivity
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.patched_box import Patch, parted_hits
 from simulated_rooms.random_boxes import random_plan
+from simulated_rooms.scattering_box import diffuse_echogram, modulated_noise, specular_box
 
 BANDS = roomfit.bands_between("octave", 500, 1000)
 PLAN_COLUMNS = (3, 4)  # of these bands among the octaves of a plan, 63 to 8000 Hz

@@ -8,7 +8,7 @@ The paper's room with its seven surfaces apart; nothing is known of them beforeh
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
 200 random designs from the same candidates under the same rules. Then what is: responses of the
 chosen pairs, and of some random designs, are simulated as pressures that are followed from cell to
-cell (`roomfit.demo.polyhedra`), with the absorption of `roomfit.paper.room`, positions off
+cell (`simulated_rooms.polyhedra`), with the absorption of `roomfit.paper.room`, positions off
 by --position-error, a loudspeaker that is uneven by --loudspeaker-db from octave to octave, and
 noise; and identified as anybody's. Each design is measured --noises times, with other errors of
 positions, levels and noise. --promise leaves the second part out; --pictures draws the first

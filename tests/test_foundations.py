@@ -14,7 +14,6 @@ from absorption_reference import surviving_energy
 from roomfit.base.air import Air
 from roomfit.base.bands import OCTAVES_HZ, THIRD_OCTAVES_HZ, Bands, bands_between
 from roomfit.base.errors import InputError
-from roomfit.demo.polyhedra import Cells
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.model.parameters import Block
 from roomfit.model.patterns import MeasuredDirectivity, Pattern, unit_vector
@@ -24,6 +23,7 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
 from roomfit.signals.response import ImpulseResponse
 from roomfit.tracing.paths import TraceSettings
+from simulated_rooms.polyhedra import Cells
 
 coefficients = arrays(np.float64, (3, 2), elements=st.floats(0.0, 1.0))
 hits = arrays(np.uint16, (5, 3), elements=st.integers(0, 40))

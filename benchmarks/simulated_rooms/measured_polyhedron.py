@@ -18,8 +18,8 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.base.whole_files import write_text_atomically
 from roomfit.demo.boxes import add_noise
-from roomfit.demo.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from simulated_rooms.other_turned_box import other_responses
+from simulated_rooms.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from simulated_rooms.polyhedral_rooms import (
     l_shaped_cells,
     obj_text,

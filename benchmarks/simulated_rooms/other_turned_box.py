@@ -15,7 +15,7 @@ import numpy as np
 from roomfit.base.air import Air, attenuation_per_m
 from roomfit.base.bands import bands_between
 from roomfit.base.typing import FloatArray
-from roomfit.demo.polyhedra import SyntheticPolyhedron, _balls, cell_arrays
+from simulated_rooms.polyhedra import SyntheticPolyhedron, _balls, cell_arrays
 from simulated_rooms.polyhedral_rooms import TURNED_AT_M, TURNED_BY, TURNED_M
 
 LATE_SAMPLES = 40

@@ -6,10 +6,10 @@ import numpy as np
 
 from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.demo.polyhedra import CellFace, Cells, cell_arrays
 from roomfit.paper.room import PLANES, paper_scene
 from roomfit.room.build import build_mesh
 from roomfit.room.scene import Room
+from simulated_rooms.polyhedra import CellFace, Cells, cell_arrays
 
 _BOX = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (2, 3, 7, 6), (0, 3, 2, 1), (4, 5, 6, 7))
 _BOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")

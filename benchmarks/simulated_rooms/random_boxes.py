@@ -16,13 +16,11 @@ from roomfit.demo.boxes import (
     WALLS,
     BoxPlan,
     add_noise,
-    diffuse_echogram,
-    modulated_noise,
     pressure_response,
-    specular_box,
     true_box,
     write_box_campaign,
 )
+from simulated_rooms.scattering_box import diffuse_echogram, modulated_noise, specular_box
 
 
 def random_plan(rng: np.random.Generator) -> BoxPlan:

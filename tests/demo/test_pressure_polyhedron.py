@@ -11,18 +11,18 @@ import pytest
 from images_reference import their_images
 from roomfit.base.errors import InputError
 from roomfit.demo.boxes import SyntheticBox, box_images, pressure_response
-from roomfit.demo.polyhedra import (
+from roomfit.files.campaign import read_campaign
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.room.mesh import volume_m3
+from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
+from simulated_rooms.polyhedra import (
     Cells,
     SyntheticPolyhedron,
     cell_arrays,
     cell_images,
     pressure_responses,
 )
-from roomfit.files.campaign import read_campaign
-from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
-from roomfit.room.mesh import volume_m3
-from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
     cell_volume_m3,

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from roomfit.base.typing import FloatArray
-from roomfit.demo.boxes import (
+from roomfit.demo.boxes import SyntheticBox, box_images, pressure_response
+from simulated_rooms.scattering_box import (
     ECHOGRAM_BIN_S,
-    SyntheticBox,
-    box_images,
     diffuse_echogram,
     modulated_noise,
-    pressure_response,
     specular_box,
 )
 

@@ -17,10 +17,7 @@ from roomfit.demo.boxes import (
     WALLS,
     BoxPlan,
     add_noise,
-    diffuse_echogram,
-    modulated_noise,
     pressure_response,
-    specular_box,
     true_box,
 )
 from roomfit.files.campaign import read_campaign
@@ -33,6 +30,7 @@ from roomfit.fit.displacement import (
 from roomfit.materials.priors import unknown_material
 from roomfit.room.scene import PointGroup, Room, Scene
 from simulated_rooms.random_boxes import random_plan
+from simulated_rooms.scattering_box import diffuse_echogram, modulated_noise, specular_box
 from small_campaign import write_campaign
 
 BANDS = roomfit.bands_between("octave", 1000, 2000)

@@ -8,7 +8,6 @@ import pytest
 from images_reference import BOX_M, SPEED_M_S, box_room, scene_of
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.demo.polyhedra import cell_images
 from roomfit.materials.priors import uniform_scattering
 from roomfit.room.scene import Room
 from roomfit.tracing.image_sources import (
@@ -21,6 +20,7 @@ from roomfit.tracing.image_sources import (
 )
 from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet
+from simulated_rooms.polyhedra import cell_images
 from simulated_rooms.polyhedral_rooms import (
     cell_volume_m3,
     l_shaped_cells,

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import follow
 from roomfit.base.typing import FloatArray
-from roomfit.demo.polyhedra import cell_images
 from roomfit.room.mesh import area_vectors_m2
 from roomfit.room.scene import Room
 from roomfit.tracing.image_sources import (
@@ -20,6 +19,7 @@ from roomfit.tracing.image_sources import (
 )
 from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, unfolded_normals
+from simulated_rooms.polyhedra import cell_images
 from simulated_rooms.polyhedral_rooms import room_of, turned_cells
 
 LENGTHS_M = (6.1, 4.7, 2.8)
