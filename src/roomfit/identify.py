@@ -17,7 +17,7 @@ from roomfit.base.forks import (
     in_this_process,
 )
 from roomfit.base.kernels import one_blas_thread
-from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.base.typing import Progress, part
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.checks.examine import (
     AFTER_THE_FIT,
@@ -29,8 +29,6 @@ from roomfit.checks.examine import (
 )
 from roomfit.checks.verdict import judge
 from roomfit.fit.displacement import (
-    DisplacementModel,
-    Offset,
     displaced,
     displacement_model,
     located,
@@ -223,7 +221,7 @@ def _with_positions_examined(
     offsets = offsets_of(measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))
-    outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+    outline = displacement_model(measured, priors, traced, fits, offsets, moved_m)
     if is_stated.any() and outline is not None:
         moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
         scene = displaced(measured.scene, offsets, moved_m)
@@ -231,7 +229,7 @@ def _with_positions_examined(
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
         traced, fits = _fitted(measured, priors, settings, progress)
-        outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+        outline = displacement_model(measured, priors, traced, fits, offsets, moved_m)
     if outline is not None:
         fits = with_offsets(fits, outline, located(outline))
     return observed, traced, fits
@@ -247,19 +245,6 @@ def _warn_first(findings: Sequence[Finding]) -> None:
             "the fit goes on, but will call no material identifiable: to set this right first, "
             "stop it with Ctrl-C"
         )
-
-
-def _outline(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    traced: TracedPaths,
-    fits: BandFits,
-    offsets: tuple[Offset, ...],
-    moved_m: FloatArray,
-) -> DisplacementModel | None:
-    """Return the fitted room to be displaced, if anything can be."""
-    sources = fits.unknown_sources, fits.directivities
-    return displacement_model(measured, priors, traced, fits.answers, sources, offsets, moved_m)
 
 
 def _check_any_fitted(fits: BandFits) -> None:

@@ -294,7 +294,7 @@ class Result(Shown):
         kinds = [kind for b in found for kind in b.kinds if kind != "given"]
         if "profile" in kinds:
             sentences.append(
-                f"Of {len(kinds)} intervals {sum(len(b.profiles) for b in found)} are so wide that "
+                f"Of {len(kinds)} intervals {sum(b.n_profiles for b in found)} are so wide that "
                 f"a Gaussian may fail; {kinds.count('profile')} of them were skew and are those of "
                 "the profile likelihood."
             )

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.fit.scattering import (
     GRID,
@@ -56,13 +54,3 @@ def test_each_material_has_its_own_value_where_asked_and_specified_ones_stay():
     s, lower, upper = choose_scattering(bell(truth), start, fitted, common=False)
     np.testing.assert_array_equal(s[:, 0], [0.05, 0.5, 0.33])
     assert lower[2, 0] == upper[2, 0] == 0.33
-
-
-def test_nothing_to_choose_and_impossible_values_are_refused():
-    """Both are the caller's to change."""
-    fit, start = bell(np.zeros((3, 1))), np.zeros((3, 1))
-    with pytest.raises(InputError, match="no scattering is to be fitted"):
-        choose_scattering(fit, start, np.zeros(3, dtype=bool))
-    for grid in ((), (0.1, 1.2), (float("nan"),)):
-        with pytest.raises(InputError, match="no such scattering"):
-            choose_scattering(fit, start, np.ones(3, dtype=bool), grid=grid)

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.base.typing import Progress
+from roomfit.fit.choice import choose
 from roomfit.fit.simplex import unit_box_solver
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.energy import only_energies
@@ -64,21 +65,19 @@ def from_random_starts(
         evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
     priors = [prior_residuals(parameters, f.vector)[0] for f in fits]
     worth = [f.log_likelihood - 0.5 * float(p @ p) for f, p in zip(fits, priors, strict=True)]
-    best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
-    best = best if worth[best] > worth[0] + 0.05 else 0
+    best, alike_best = choose(range(len(fits)), worth, ALIKE, least_gain=0.05)
     how = fit_covariance(fits[best]), fits[best].chi2_reduced
     found = absorption_intervals(parameters, fits[best].vector, *how)
     absorptions = [physical_values(parameters, f.vector)[0]["absorption"] for f in fits]
     within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in absorptions]
-    losses = [worth[best] - w for w in worth]
-    others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
-    nearest = min(others, key=lambda i: losses[i], default=None)
+    others = [i for i in alike_best if not within[i]]
+    nearest = max(others, key=lambda i: worth[i], default=None)
     return replace(fits[best], evaluations=evaluations), Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
-        0.0 if nearest is None else float(losses[nearest]),
+        0.0 if nearest is None else float(worth[best] - worth[nearest]),
     )
 
 

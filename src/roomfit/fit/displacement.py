@@ -8,10 +8,10 @@ within it; what is not is only suspected, and found out where it is farther off 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from roomfit.fit.scattering import band_factors
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.model.binned import once
 from roomfit.model.directivity import (
-    DirectivityParameters,
-    FittedDirectivity,
     directed_band,
     row_bases,
     with_directivities,
@@ -48,17 +46,15 @@ from roomfit.room.scene import (
     NEAREST_PAIR_M,
     NEAREST_WALL_M,
     Point,
-    Room,
     Scene,
     distances_m,
     position_findings,
 )
 from roomfit.signals.filters import SpreadingKernel, spreading_kernel
 from roomfit.signals.measurement import MeasuredPair
-from roomfit.solver import BandFit, score_band
+from roomfit.solver import score_band
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandEstimate
 
 # Below it a window is longer than what a displacement does to a reflection.
 _LEAST_HZ = 400.0
@@ -106,14 +102,23 @@ class Offset:
         """Its name in results."""
         return f"{self.group or 'length'} {AXES[self.axis]}"
 
+    @property
+    def tolerance_m(self) -> float:
+        """Its standard deviation, with how far a wall reflects from off its plane."""
+        return float(np.hypot(self.sd_m, _WALL_SD_M))
 
-class LogL(Protocol):
-    """Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
+    @property
+    def plausible_m(self) -> float:
+        """How far off is plausible."""
+        return LARGEST_SHIFT_SD * self.tolerance_m
 
-    Roughly also where high bands rule it out, so that the others need not be asked.
-    """
+    def log_prior(self, by_m: float) -> float:
+        """Return the logarithm of its prior over that of none.
 
-    def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float: ...
+        Student's t with four degrees of freedom, scaled by what is specified: a likelihood of one
+        model that is maximised over a hundred places gains 20 somewhere.
+        """
+        return -2.5 * float(np.log1p(0.25 * (by_m / self.tolerance_m) ** 2))
 
 
 def offsets_of(scene: Scene) -> tuple[Offset, ...]:
@@ -150,37 +155,39 @@ def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> S
 
     Shapes: `shift_m` (n_offsets,).
     """
+    moves, longer_m = list(zip(offsets, shift_m, strict=True)), np.zeros(3)
+    for offset, by_m in moves:
+        longer_m[offset.axis] += 0.0 if offset.group else by_m
 
     def moved(points: tuple[Point, ...], kind: str) -> tuple[Point, ...]:
         steps_m = np.zeros((len(points), 3))
-        for offset, by_m in zip(offsets, shift_m, strict=True):
-            members = getattr(offset, kind)
-            steps_m[[p.name in members for p in points], offset.axis] += by_m
-        return tuple(
-            replace(p, position_m=p.position_m + step)
-            for p, step in zip(points, steps_m, strict=True)
-        )
+        for offset, by_m in moves:
+            steps_m[[p.name in getattr(offset, kind) for p in points], offset.axis] += by_m
+        each = zip(points, steps_m, strict=True)
+        return tuple(replace(p, position_m=p.position_m + step) for p, step in each)
 
-    longer_m = np.zeros(3)
-    for offset, by_m in zip(offsets, shift_m, strict=True):
-        longer_m[offset.axis] += 0.0 if offset.group else by_m
-    return replace(
-        scene,
-        room=_lengthened(scene.room, longer_m) if np.any(longer_m) else scene.room,
-        sources=moved(scene.sources, "sources"),
-        receivers=moved(scene.receivers, "receivers"),
-    )
+    room = scene.room
+    if np.any(longer_m):
+        x, y, z = (np.array(room.shoebox_m) + longer_m).tolist()
+        mesh = replace(room.mesh, vertices_m=shoebox_mesh((x, y, z)).vertices_m)
+        room = replace(room, mesh=mesh, shoebox_m=(x, y, z))
+    sources, receivers = moved(scene.sources, "sources"), moved(scene.receivers, "receivers")
+    return replace(scene, room=room, sources=sources, receivers=receivers)
 
 
-def _lengthened(room: Room, by_m: FloatArray) -> Room:
-    x, y, z = (np.array(room.shoebox_m) + by_m).tolist()
-    mesh = replace(room.mesh, vertices_m=shoebox_mesh((x, y, z)).vertices_m)
-    return replace(room, mesh=mesh, shoebox_m=(x, y, z))
+def _is_possible(scene: Scene) -> bool:
+    """Whether all positions stay in the air of the room."""
+    box_m = scene.room.shoebox_m
+    if box_m is None:
+        return not position_findings(scene.room, scene.sources, scene.receivers)
+    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
+    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
+    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacementBand:
-    """One band of an model: what stays, and where its fit starts."""
+    """One band of a model: what stays, and where its fit starts."""
 
     band: int
     kept: FixedPaths
@@ -204,36 +211,17 @@ class DisplacementModel:
     bands: tuple[DisplacementBand, ...]  # the highest first
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """The most likely offsets."""
-
-    shift_m: FloatArray  # (n_offsets,), from the specified scene
-    sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
-    beyond: Displacement | None  # what is displaced farther than specified
-
-
 def displacement_model(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     traced: TracedPaths,
-    answers: Sequence[BandEstimate],
-    directivities: tuple[DirectivityParameters | None, Sequence[FittedDirectivity]],
+    fits: BandFits,
     offsets: tuple[Offset, ...],
     moved_m: FloatArray,
 ) -> DisplacementModel | None:
-    """Return what is needed to displace a fitted room; None where there is too little to go by.
-
-    Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
-    triangles that is no box.
-    """
+    """Return what is needed to displace a fitted room; None where there is too little to go by."""
     scene, bands, paths = measured.scene, measured.bands, traced.paths
-    if (
-        sum(m.measurement.use == "fit" for m in measured.responses) < _FEWEST_RESPONSES
-        or (len(scene.room.mesh.triangles) > _MOST_TRIANGLES and box_of(scene.room.mesh) is None)
-        or traced.settings.image_order < 1
-        or not offsets
-    ):
+    if not offsets or not _tells_positions(measured, traced):
         return None
     c = speed_of_sound_m_s(scene.air)
     reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
@@ -241,20 +229,11 @@ def displacement_model(
     limits_s = traced.settings.duration_s, traced.settings.image_until_s
     until_s = min(reach_m / c, *(s for s in limits_s if s is not None))
     moves = _early_images(paths, c * until_s, order)
-    air = attenuation_per_m(scene.air, bands)
-    unknown, found = directivities
+    air, answers, unknown = attenuation_per_m(scene.air, bands), fits.answers, fits.unknown_sources
     start = np.array([float(np.mean(a.absorption)) for a in answers])
     responses = _with_gains_of_their_own(measured.responses)
-    made = energy_terms(
-        scene,
-        bands,
-        priors,
-        responses,
-        traced.binned,
-        start,
-        periods=_PERIODS,
-        fine_s=_FINE_S,
-    )
+    finer = {"periods": _PERIODS, "fine_s": _FINE_S}
+    made = energy_terms(scene, bands, priors, responses, traced.binned, start, **finer)
     bases = None
     if unknown is not None:
         bases = row_bases(unknown, scene, paths, traced.binned, ~moves)
@@ -268,7 +247,7 @@ def displacement_model(
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)
-            b = np.stack([d.b[band] for d in found])
+            b = np.stack([d.b[band] for d in fits.directivities])
             parameters = with_directivities(parameters, directivity.unknown)
         parameters = _starting_at(parameters, answers[band].absorption)
         vector = start_vector(parameters)
@@ -282,8 +261,16 @@ def displacement_model(
         trim_memory()
     if not out:
         return None
-    kernel, out = spreading_kernel(bands), out[::-1]
-    return DisplacementModel(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+    how = until_s, order, spreading_kernel(bands)
+    return DisplacementModel(measured, traced, offsets, moved_m, *how, tuple(out[::-1]))
+
+
+def _tells_positions(measured: Measurements, traced: TracedPaths) -> bool:
+    """Whether there are responses and early images enough, and few walls to look them up on."""
+    mesh = measured.scene.room.mesh
+    n_fitted = sum(m.measurement.use == "fit" for m in measured.responses)
+    has_few_walls = len(mesh.triangles) <= _MOST_TRIANGLES or box_of(mesh) is not None
+    return n_fitted >= _FEWEST_RESPONSES and has_few_walls and traced.settings.image_order >= 1
 
 
 def _early_images(paths: Paths, longest_m: float, order: int) -> BoolArray:
@@ -335,20 +322,23 @@ def displaced_terms(model: DisplacementModel, shift_m: FloatArray) -> Iterator[D
             [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
         )
         times_s = (images.length_m - late_m[:, None]) / c
-        kernel = model.kernel, own.band
-        yield displaced_term(own.kept, images, times_s, weight, kernel)
+        yield displaced_term(own.kept, images, times_s, weight, (model.kernel, own.band))
 
 
 class _LogL:
     """The log-likelihood of offsets with absorption, gains and directivity near the best.
 
-    Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
-    of them alike at every place neither gains nor loses; neighbours count as for absorption.
+    Minus infinity where a point leaves the room; roughly also where high bands rule it out, so that
+    the others need not be asked. Windows follow a normal law whose scale is fitted in each band, so
+    that a model that misses some of them alike at every place neither gains nor loses; neighbours
+    count as for absorption.
     """
 
     def __init__(self, model: DisplacementModel) -> None:
         self.model, self.known = model, dict[bytes, float]()
         self.vectors, self.least = [b.start for b in model.bands], [-np.inf] * len(model.bands)
+        none = np.zeros(len(model.offsets))
+        self.known[_rounded(none)] = self.evaluated(none, False, 12)
 
     def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float:
         key = _rounded(shift_m)
@@ -372,7 +362,10 @@ class _LogL:
             objective = Objective(model.bands[i].parameters, (term,))
             fit = score_band(objective, self.vectors[i], max_rounds=max_rounds)
             prior, _ = prior_residuals(objective.parameters, fit.vector)
-            total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
+            n = float(np.sum(1.0 / objective.correlation_length()))
+            squares = (fit.measured - fit.expected) ** 2 / fit.variance
+            spread = float(np.mean(np.log(fit.variance)) + np.log(np.mean(squares)))
+            total += -0.5 * n * spread - 0.5 * float(prior @ prior)
             if max_rounds > 2:
                 self.vectors[i], self.least[i] = fit.vector, total - _RULED_OUT
             elif roughly and total < self.least[i]:
@@ -380,61 +373,50 @@ class _LogL:
         return total
 
 
+LogL: TypeAlias = Callable[..., float]
+"""Log-likelihood of a vector of offsets in m, roughly where the second argument says so."""
+
+
 def _rounded(shift_m: FloatArray) -> bytes:
     return np.round(shift_m, 4).tobytes()
 
 
-def logl_of(model: DisplacementModel) -> _LogL:
-    """Return the log-likelihood of offsets."""
-    logl, none = _LogL(model), np.zeros(len(model.offsets))
-    logl.known[_rounded(none)] = logl.evaluated(none, False, 12)
-    return logl
+class Located(NamedTuple):
+    """The most likely offsets."""
 
-
-def _is_possible(scene: Scene) -> bool:
-    """Whether all positions stay in the air of the room."""
-    box_m = scene.room.shoebox_m
-    if box_m is None:
-        return not position_findings(scene.room, scene.sources, scene.receivers)
-    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
-    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
-    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
-
-
-def _log_likelihood(objective: Objective, fit: BandFit) -> float:
-    n = float(np.sum(1.0 / objective.correlation_length()))
-    squares = (fit.measured - fit.expected) ** 2 / fit.variance
-    spread = float(np.mean(np.log(fit.variance)) + np.log(np.mean(squares)))
-    return -0.5 * n * spread
+    shift_m: FloatArray  # (n_offsets,), from the specified scene
+    sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
+    beyond: Displacement | None  # what is displaced farther than specified
 
 
 def located(model: DisplacementModel) -> Located:
     """Return the most likely offsets, and what is farther off than specified."""
-    offsets, n = model.offsets, len(model.offsets)
-    stated = np.array([o.is_stated for o in offsets])
-    sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
-    logl = logl_of(model)
+    offsets, logl = model.offsets, _LogL(model)
+    stated = [k for k, o in enumerate(offsets) if o.is_stated]
+    sd_m = np.array([o.sd_m if o.is_stated else o.tolerance_m for o in offsets])
 
     def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
         return logl(shift_m, roughly) - 0.5 * float(np.sum(((model.moved_m + shift_m) / sd_m) ** 2))
 
-    logl.foresee(_about(np.zeros(n), sd_m))
-    shift_m = _swept(posterior, np.zeros(n), sd_m)
-    for _ in range(n if stated.any() else 0):
+    shift_m = np.zeros(len(offsets))
+    logl.foresee(_about(shift_m, sd_m))
+    shift_m = _swept(posterior, shift_m, sd_m)
+    for _ in range(len(offsets) if stated else 0):
         at = _stated_step(model, posterior, shift_m)
         if at is None:
             break
         logl.foresee(_about(at, sd_m))
         shift_m = _swept(posterior, at, sd_m)
-    found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
-    if own.size:
-        for k in (*own.tolist(), *own.tolist()):
-            shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
-        found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
+    found_sd_m = np.array([o.sd_m for o in offsets])
+    for k in (*stated, *stated):
+        shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
+    if stated:
+        covariance = _covariance(posterior, shift_m, stated, sd_m[stated])
+        found_sd_m[stated] = np.sqrt(np.diag(covariance))
     beyond = _implausible(model, logl, shift_m)
-    far_m = None if beyond is not None else _farthest(model, logl, shift_m)
-    if far_m is not None:
-        beyond = _named(model, logl, shift_m, far_m)
+    if beyond is None:
+        far_m = _farthest(model, logl, shift_m)
+        beyond = None if far_m is None else _named(model, logl, shift_m, far_m)
     return Located(model.moved_m + shift_m, found_sd_m, beyond)
 
 
@@ -475,34 +457,17 @@ def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatA
     found = {own.band: np.zeros((n, len(ways))) for own in model.bands}
     for number, way in enumerate(ways):
         sides = [displaced(model.measured.scene, model.offsets, s * way) for s in (-1.0, 1.0)]
-        if not all(_is_possible(scene) for scene in sides):
-            continue
-        for sign in (-1.0, 1.0):
-            terms = displaced_terms(model, sign * way)
-            for own, term in zip(model.bands, terms, strict=True):
+        for sign in (-1.0, 1.0) if all(_is_possible(scene) for scene in sides) else ():
+            for own, term in zip(model.bands, displaced_terms(model, sign * way), strict=True):
                 fit = score_band(Objective(own.parameters, (term,)), own.start, max_rounds=12)
                 values, _ = physical_values(own.parameters, fit.vector)
                 found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
     return found
 
 
-def _tolerance_m(offset: Offset) -> float:
-    return float(np.hypot(offset.sd_m, _WALL_SD_M))
-
-
-def _log_prior(offset: Offset, by_m: float) -> float:
-    """Return the logarithm of the prior of an offset over that of none.
-
-    Student's t with four degrees of freedom, scaled by what is specified: a likelihood of one model
-    that is maximised over a hundred places gains 20 somewhere.
-    """
-    return -2.5 * float(np.log1p(0.25 * (by_m / _tolerance_m(offset)) ** 2))
-
-
 def _about(shift_m: FloatArray, sd_m: FloatArray) -> list[FloatArray]:
     """Return where a sweep looks first, one offset after the other."""
-    ways = np.eye(shift_m.size)
-    each = zip(ways, sd_m, strict=True)
+    each = zip(np.eye(shift_m.size), sd_m, strict=True)
     return [shift_m + t * min(s, _REACH_M) * w for w, s in each for t in _WITHIN_SD]
 
 
@@ -512,12 +477,11 @@ def _swept(logl: LogL, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
     On a grid within its standard deviations, then along a parabola.
     """
     ways = np.eye(shift_m.size)
-    grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
     first = [logl(s, True) for s in _about(shift_m, sd_m)]
     gains = np.reshape(first, (-1, len(_WITHIN_SD))).max(axis=1)
     at, best = np.array(shift_m), logl(shift_m)
     for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
-        for trial in [at + d * ways[k] for d in grids[k]]:
+        for trial in [at + t * min(sd_m[k], _REACH_M) * ways[k] for t in _WITHIN_SD]:
             if (found := logl(trial, True)) > best:
                 at, best = trial, found
         trial = at + _parabola(logl, at, ways[k], best) * ways[k]
@@ -556,17 +520,15 @@ def _stated_step(
     model: DisplacementModel, posterior: LogL, shift_m: FloatArray
 ) -> FloatArray | None:
     """Return offsets with one that is stated a step of the grid away, where that is likelier."""
-    here = posterior(shift_m)
-    trials: list[FloatArray] = []
-    for k, offset in enumerate(model.offsets):
-        if offset.is_stated:
-            for d in (*-_GRID_M, *_GRID_M):
-                if abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m:
-                    trials.append(shift_m + d * np.eye(shift_m.size)[k])
-    values = [posterior(t, True) for t in trials]
-    if not values or max(values) <= here + 0.5:
-        return None
-    return trials[int(np.argmax(values))]
+    trials = [
+        shift_m + d * way
+        for way, offset in zip(np.eye(shift_m.size), model.offsets, strict=True)
+        for d in (*-_GRID_M, *_GRID_M)
+        if offset.is_stated and abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m
+    ]
+    values, here = [posterior(t, True) for t in trials], posterior(shift_m)
+    is_likelier = bool(values) and max(values) > here + 0.5
+    return trials[int(np.argmax(values))] if is_likelier else None
 
 
 def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> FloatArray | None:
@@ -575,22 +537,23 @@ def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> Flo
     Over its axis as specified; less likely than what is within the specified, it is nowhere. What
     was to stay within the specified may have gone beyond it step by step: then that is far.
     """
-    limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in model.offsets])
-    inside, best, at = logl(shift_m), LEAST_GAIN, None
-    axes, unit = np.array([o.axis for o in model.offsets]), np.eye(shift_m.size)
+    offsets, inside, best, at = model.offsets, logl(shift_m), LEAST_GAIN, None
+    axes = np.array([o.axis for o in offsets])
     starts_m = np.where(axes[:, None] == axes, -model.moved_m, shift_m)
-    grids = [[d for d in (*-_GRID_M, *_GRID_M) if abs(d) > limit] for limit in limits_m]
-    far = zip(starts_m, unit, grids, strict=True)
-    logl.foresee([start + d * way for start, way, grid in far for d in grid])
-    for k, offset in enumerate(model.offsets):
-        way, start_m, here = unit[k], starts_m[k], logl(starts_m[k])
-        for d in grids[k]:
-            found = logl(start_m + d * way, True)
-            gain = found - here + _log_prior(offset, d)
-            if found > inside and gain > best:
-                best, at = gain, start_m + d * way
-    went = np.abs(model.moved_m + shift_m) > limits_m
-    is_free = np.array([not o.is_stated for o in model.offsets])
+    trials = [
+        (offset, start_m, d, start_m + d * way)
+        for offset, start_m, way in zip(offsets, starts_m, np.eye(shift_m.size), strict=True)
+        for d in (*-_GRID_M, *_GRID_M)
+        if abs(d) > offset.plausible_m
+    ]
+    logl.foresee([trial for *_, trial in trials])
+    for offset, start_m, d, trial in trials:
+        found = logl(trial, True)
+        gain = found - logl(start_m) + offset.log_prior(d)
+        if found > inside and gain > best:
+            best, at = gain, trial
+    went = np.abs(model.moved_m + shift_m) > [o.plausible_m for o in offsets]
+    is_free = [not o.is_stated for o in offsets]
     return shift_m if at is None and np.any(went & is_free) else at
 
 
@@ -628,48 +591,40 @@ def _named(
             break
         value, size_m = finer, size_m + step_m
     shift_m, gain = start_m + size_m * way, value - logl(start_m)
-    entry = lengths[0] if k < 0 else k
-    far = abs(size_m) > LARGEST_SHIFT_SD * _tolerance_m(offsets[entry])
-    if not far or gain + _log_prior(offsets[entry], size_m) <= LEAST_GAIN:
+    offset = offsets[lengths[0] if k < 0 else k]
+    is_far = abs(size_m) > offset.plausible_m
+    if not is_far or gain + offset.log_prior(size_m) <= LEAST_GAIN:
         return None
-    farther_m: dict[str, tuple[float, float]] | None = None
-    if whole and lengths:
-        pair = [whole[0], lengths[0]]
-        covariance = _covariance(logl, shift_m, pair, np.full(2, 10.0))
-        ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
-        ends_m = ends @ (model.moved_m + shift_m)[pair]
-        deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
-        farther_m = {
-            w: (round(float(x), 3), round(float(s), 3))
-            for w, x, s in zip(_walls(model, axis), ends_m, deviations_m, strict=True)
-            if s < WORTH_TELLING_M
-        }
-    found = float(size_m), _sd_along(logl, shift_m, way)
-    return _displacement(model, k, axis, found, gain, farther_m)
+    found = _displacement(model, k, axis, float(size_m), _sd_along(logl, shift_m, way), gain)
+    if not (whole and lengths):
+        return found
+    pair = [whole[0], lengths[0]]
+    covariance = _covariance(logl, shift_m, pair, np.full(2, 10.0))
+    ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
+    ends_m = ends @ (model.moved_m + shift_m)[pair]
+    deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
+    each = zip(found.walls, ends_m.tolist(), deviations_m.tolist(), strict=True)
+    farther_m = {w: (round(x, 3), round(s, 3)) for w, x, s in each if s < WORTH_TELLING_M}
+    return replace(found, farther_m=farther_m)
 
 
 def _displacement(
-    model: DisplacementModel,
-    k: int,
-    axis: int,
-    found: tuple[float, float],
-    gain: float,
-    farther_m: Mapping[str, tuple[float, float]] | None,
+    model: DisplacementModel, k: int, axis: int, size_m: float, sd_m: float, gain: float
 ) -> Displacement:
     """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
     offset, walls = model.offsets[k], _walls(model, axis)
     if k < 0:
-        return Displacement("wall", frozenset(), axis, *found, LENGTH_SD_M, gain, walls, farther_m)
-    points, kind = offset.sources | offset.receivers, offset.group or "length"
-    return Displacement(kind, points, axis, *found, offset.sd_m, gain, walls, farther_m)
+        what = "wall", frozenset[str](), axis, size_m, sd_m, LENGTH_SD_M
+    else:
+        points = offset.sources | offset.receivers
+        what = offset.group or "length", points, axis, size_m, sd_m, offset.sd_m
+    return Displacement(*what, gain, walls, None)
 
 
 def _implausible(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> Displacement | None:
     """Return the stated offset that had to move farthest beyond what is plausible."""
     total_m = model.moved_m + shift_m
-    limits_m = [
-        LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in model.offsets
-    ]
+    limits_m = [o.plausible_m if o.is_stated else np.inf for o in model.offsets]
     k = int(np.argmax(np.abs(total_m) / limits_m))
     way = np.eye(total_m.size)[k]
     if abs(total_m[k]) <= limits_m[k]:
@@ -677,8 +632,8 @@ def _implausible(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> D
     gain = logl(shift_m) - logl(shift_m - total_m[k] * way)
     if gain <= LEAST_GAIN:
         return None
-    found = float(total_m[k]), _sd_along(logl, shift_m, way)
-    return _displacement(model, k, model.offsets[k].axis, found, gain, None)
+    sd_m = _sd_along(logl, shift_m, way)
+    return _displacement(model, k, model.offsets[k].axis, float(total_m[k]), sd_m, gain)
 
 
 def _walls(model: DisplacementModel, axis: int) -> tuple[str, ...]:

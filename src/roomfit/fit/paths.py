@@ -16,16 +16,14 @@ from roomfit.fit.scattering import (
     assumed_scattering,
     band_factors,
     chosen_scattering,
-    scattering_trial,
     specified_scattering,
     tried_scattering,
 )
-from roomfit.fit.trace_plan import plan_trace, planned_trace
+from roomfit.fit.trace_plan import TracePlan, plan_trace, planned_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, bin_paths, reweighed
 from roomfit.model.directivity import FittedDirectivity
 from roomfit.model.patterns import directivity_factors
-from roomfit.room.scene import wall_materials
 from roomfit.settings import Settings
 from roomfit.tracing.paths import Paths, TraceSettings
 
@@ -96,25 +94,24 @@ def traced_paths(
     Shapes: `start` (n_bands,).
     """
     scene, bands = measurements.scene, measurements.bands
-    slowest_s, latest_s = time_scales(measurements)
-    timing = slowest_s, latest_s
-    plan = plan_trace(scene, priors, *timing, settings, images_until_s=images_until_s)
-    priors, assumed_sd, assumed = assumed_scattering(
-        measurements, priors, settings, plan.settings, start
-    )
-    priors, chosen_sd, chosen = chosen_scattering(
-        measurements, priors, settings, plan.settings, start, part(progress, 0.0, 0.5)
-    )
+
+    def planned() -> TracePlan:
+        return plan_trace(
+            *(scene, priors, *time_scales(measurements), settings),
+            images_until_s=images_until_s,
+            by_values=not measurements.responses,
+        )
+
+    plan = planned()
+    known = settings, plan.settings, start
+    priors, assumed_sd, assumed = assumed_scattering(measurements, priors, *known)
+    early = part(progress, 0.0, 0.5)
+    priors, chosen_sd, chosen = chosen_scattering(measurements, priors, *known, early)
     tried: ScatteringTrial | None = None
     if assumed or chosen:
-        plan = plan_trace(scene, priors, *timing, settings, images_until_s=images_until_s)
-    else:
-        trial = None
-        if not settings.quick:
-            trial = scattering_trial(measurements, priors, settings, plan.settings, start)
-        if trial is not None:
-            tried = tried_scattering(trial[0], wall_materials(scene.room), trial[1])
-        del trial  # with two traces of its own
+        plan = planned()
+    elif not settings.quick:
+        tried = tried_scattering(measurements, priors, *known)
     trim_memory()
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = planned_trace(scene, plan.settings, plan.scattering, done)

@@ -22,6 +22,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import Z95
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.fit.choice import choose
 from roomfit.fit.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
 from roomfit.model.binned import BinnedPaths, bin_paths
@@ -119,21 +120,14 @@ def choose_scattering(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the scattering coefficients with the highest profile likelihood on a grid.
 
-    The likelihood is summed over bands. First all unknown coefficients move together. With
-    ``common=False`` they are then moved one after the other, each over the whole grid, until none
-    moves or two rounds are done.
+    And the least and the largest that do as well. The likelihood is summed over bands. First all
+    unknown coefficients move together. With ``common=False`` they are then moved one after the
+    other, each over the whole grid, until none moves or two rounds are done.
 
     Shape (n_materials, n_bands). Shapes: `start` (n_materials, n_bands), `fitted` (n_materials,).
     """
-    values = np.array(sorted(set(grid)))
-    if not np.any(fitted):
-        raise InputError("no scattering is to be fitted", needed="at least one unknown coefficient")
-    if not values.size or not np.all((values >= 0.0) & (values <= 1.0)):
-        raise InputError(
-            "no such scattering coefficients", found=str(tuple(grid)), needed="values from 0 to 1"
-        )
     _LOG.info("choosing the scattering")
-    unknown = np.flatnonzero(fitted)
+    values, unknown = np.array(sorted(set(grid))), np.flatnonzero(fitted)
     sweeps = 0 if common else _MAX_SWEEPS
     n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0
     chosen = np.array(start, dtype=np.float64)
@@ -142,19 +136,17 @@ def choose_scattering(
     def move(group: IntArray) -> bool:
         """Move some coefficients together to the best value; return whether that changed them."""
         nonlocal n_done
-        likelihoods = []
+        total = []
         for value in values:
             trial = chosen.copy()
             trial[group] = value
             n_done += 1
             if progress is not None:
                 progress(min(n_done / n_fits, 1.0))
-            likelihoods.append(fit(trial))
-        total = np.array(likelihoods, dtype=np.float64).sum(axis=1)
-        best = int(np.argmax(total))
-        within = values[total >= total[best] - _WITHIN_95]
-        changed = bool(np.any(chosen[group] != values[best]))
-        chosen[group], lower[group], upper[group] = values[best], within[0], within[-1]
+            total.append(float(fit(trial).sum()))
+        best, alike = choose(values.tolist(), total, _WITHIN_95)
+        changed = bool(np.any(chosen[group] != best))
+        chosen[group], lower[group], upper[group] = best, alike[0], alike[-1]
         return changed
 
     move(unknown)
@@ -173,22 +165,6 @@ class ScatteringTrial(NamedTuple):
     materials: tuple[str, ...]  # those that were tried, all at once
     coefficient: float
     gains: FloatArray  # (n_bands,), of the log-likelihood
-
-
-def tried_scattering(
-    fit: ScatteringFit, materials: tuple[str, ...], assumed: FloatArray
-) -> ScatteringTrial | None:
-    """Return what is gained if the walls taken for smooth scatter by 0.15; None without any.
-
-    Shapes: `assumed` (n_materials, n_bands).
-    """
-    smooth = ~np.any(assumed > 0.0, axis=1)
-    if not smooth.any():
-        return None
-    without = fit(assumed)
-    gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
-    names = tuple(name for name, is_smooth in zip(materials, smooth, strict=False) if is_smooth)
-    return ScatteringTrial(names, _TRIAL, gains)
 
 
 class ChosenScattering(NamedTuple):
@@ -213,7 +189,6 @@ def chosen_scattering(
     """Return the priors with the most likely scattering where it is to be fitted.
 
     And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
-
     Energies alone are compared, in paths that are weighed for every trial.
 
     Shapes: `start` (n_bands,).
@@ -239,11 +214,10 @@ def chosen_scattering(
         replace(k, scattering=row) if k.fit_scattering else k
         for k, row in zip(priors, s, strict=True)
     )
-    rows = np.flatnonzero(fitted)
-    names = tuple(priors[i].name for i in rows)
-    values, least, most = (tuple(x[rows, 0].tolist()) for x in (s, lower, upper))
-    sds = [_grid_sd(GRID, *ends) for ends in np.stack((lower, upper), axis=2)[:, 0].tolist()]
-    sd = np.where(fitted, sds, 0.0)
+    names = tuple(k.name for k in priors if k.fit_scattering)
+    values, least, most = (tuple(x[fitted, 0].tolist()) for x in (s, lower, upper))
+    sd = np.zeros(len(priors))
+    sd[fitted] = [_grid_sd(GRID, *ends) for ends in zip(least, most, strict=True)]
     return known, sd, ChosenScattering(names, values, least, most, True, True)
 
 
@@ -277,9 +251,7 @@ def assumed_scattering(
     unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
     if not unspecified.any():
         return priors, np.zeros(len(priors)), None
-    names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
-    value = settings.default_scattering
-    low = high = sd = value
+    value = low = high = sd = settings.default_scattering
     n_bands = len(measurements.bands)
     first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
     middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
@@ -296,31 +268,42 @@ def assumed_scattering(
         replace(k, scattering=np.full(n_bands, value)) if missing else k
         for k, missing in zip(priors, unspecified, strict=True)
     )
-    each = ((value,) * len(names), (low,) * len(names), (high,) * len(names))
-    assumed = ChosenScattering(names, *each, False, trial is not None)
+    names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
+    each = [(x,) * len(names) for x in (value, low, high)]
+    assumed = ChosenScattering(names, each[0], each[1], each[2], False, trial is not None)
     return known, np.where(unspecified, sd, 0.0), assumed
 
 
-def scattering_trial(
+def tried_scattering(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
-) -> tuple[ScatteringFit, FloatArray] | None:
-    """Return what `tried_scattering` compares, None where no wall is specified as smooth.
+) -> ScatteringTrial | None:
+    """Return what is gained if walls that are specified as smooth scatter by 0.15; None without.
 
-    A fit of the three highest bands up to 4 kHz, and the specified coefficients there.
+    In the three highest bands up to 4 kHz.
 
     Shapes: `start` (n_bands,).
     """
-    walls = [k.scattering for k in priors if k.object_volume_m3 is None]
-    if not any(s is not None and not np.any(s > 0.0) for s in walls):
+    walls = [k for k in priors if k.object_volume_m3 is None]
+    if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in walls):
         return None
     last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)
     shortened = _shortened(trace_settings, settings.n_scattering_rays, _TRIAL_S)
-    return _energy_fit(measurements, priors, settings, shortened, start, chosen)
+    trial = _energy_fit(measurements, priors, settings, shortened, start, chosen)
+    if trial is None:
+        return None
+    fit, assumed = trial
+    smooth = ~np.any(assumed > 0.0, axis=1)
+    if not smooth.any():
+        return None
+    without = fit(assumed)
+    gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
+    each = zip(walls, smooth, strict=False)
+    return ScatteringTrial(tuple(k.name for k, is_smooth in each if is_smooth), _TRIAL, gains)
 
 
 def _shortened(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:
@@ -343,17 +326,15 @@ def _energy_fit(
     observed = [m for m in measurements.responses if m.measurement.use == "fit"]
     if not observed:
         return None
-    scene, bands = measurements.scene, measurements.bands
-    own = Bands(bands.kind, bands.centres_hz[chosen])
+    own = Bands(measurements.bands.kind, measurements.bands.centres_hz[chosen])
     known = in_bands(priors, np.arange(chosen.start, chosen.stop))
     observed = observed[:: -(-len(observed) // _MOST_TRIED)]
     pairs = np.unique([m.pair for m in observed])
-    scene, responses = select_pairs(scene, pairs), []
+    scene, responses = select_pairs(measurements.scene, pairs), []
     for m in observed:
-        noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
-        own_end_s = m.fit_end_s[chosen]
+        noise = NoiseEstimate(*(getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)))
         pair = int(np.searchsorted(pairs, m.pair))
-        responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
+        responses.append(replace(m, pair=pair, noise=noise, fit_end_s=m.fit_end_s[chosen]))
     retracer = Retracer(scene, own, trace_settings)
     windows: list[tuple[EnergyTerm, Parameters] | None] = []  # the same for every coefficient
     air_per_m = attenuation_per_m(scene.air, own)
@@ -369,8 +350,7 @@ def _energy_fit(
             for band, found in enumerate(windows):
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     term = with_paths(found[0], binned, float(air_per_m[band]))
-                    objective = Objective(found[1], (term,))
-                    fitted = fit_band(objective, settled_sd=COMPARED_SD)
+                    fitted = fit_band(Objective(found[1], (term,)), settled_sd=COMPARED_SD)
                     out[band] = _CAUTION * fitted.log_likelihood
         return out
 

@@ -58,6 +58,9 @@ LEAST_RADIUS_M, _RADIUS_PER_FREE_PATH = 0.5, 0.09
 _DECIDING_DB, _FOLLOWED_DB, _WINDOW_PER_TIME = 10.0, 45.0, 0.1
 _MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
 _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
+# Rays that err by a third of a window's data err by as much of T30 at 4 kHz and by half as much of
+# all other values and bands; they are part of a value's variance in the fit, as of no window's.
+_OF_VALUES = 1.0 / 2.0
 # A trace takes about twice the memory of its paths.
 _MOST_PATH_BYTES = 480e6
 # A fit asks for image sources of every order as far as its windows go, if they can be had; in a
@@ -86,6 +89,7 @@ def plan_trace(
     settings: Settings,
     *,
     images_until_s: float | None = None,
+    by_values: bool = False,
 ) -> TracePlan:
     """Choose how to trace.
 
@@ -96,7 +100,8 @@ def plan_trace(
     `roomfit.model.scattering.sampling_groups` asks for.
 
     Rays and the radius of their spheres, where the settings leave them open, follow the room.
-    Windows of a decay 10 dB down are to have a Monte-Carlo error of a third of the data's own,
+    Windows of a decay 10 dB down are to have a Monte-Carlo error of a third of the data's own (of a
+    half where only values are fitted, `by_values`),
     which fixes how often a second some ray crosses a sphere: with N rays and spheres of radius a in
     a volume V it is ``N pi a**2 c / V``. Where 60,000 rays and 0.5 m bring less, the radius is
     0.09 of the mean free path, 0.5 m at least and no more than walls and sources permit: it
@@ -108,53 +113,48 @@ def plan_trace(
     million of all pairs together. With `images_until_s` there are image sources of every order for
     so long, where 0 is none, and they can be moved.
     """
-    findings = []
-    unspecified = [k.name for k in priors if k.scattering is None]
-    if unspecified:
-        findings.append(
-            Finding(
-                Code.SCATTERING_ASSUMED,
-                About(materials=unspecified),
-                f"The scattering of {', '.join(unspecified)} is unspecified; "
-                f"{settings.default_scattering:g} was assumed.",
-                {"materials": unspecified, "scattering": settings.default_scattering},
-                remedies=scattering_remedies(unspecified, settings.default_scattering),
-            )
-        )
     specified = [sampling_scattering(k) for k in priors]
-    s = [settings.default_scattering if t is None else t for t in specified]
+    single = np.array([settings.default_scattering if s is None else s for s in specified])
     duration_s = traced_s(longest_decay_s, latest_window_s)
-    scattering, fraction = _sampled_scattering(scene, priors, np.array(s), duration_s, settings)
+    scattering, fraction = _sampled_scattering(scene, priors, single, duration_s, settings)
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
     n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
-    is_box = in_lattice(scene.room, settings)
-    smooth_box = is_box and not np.any(scattering.coefficients)
-    images_alone = smooth_box and n_images <= min(
-        settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs)
-    )
+    most_images = min(settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs))
+    is_box, smooth = in_lattice(scene.room, settings), not np.any(scattering.coefficients)
+    images_alone = is_box and smooth and n_images <= most_images
+    until_s = 0.0 if images_alone or images_until_s is None else images_until_s
     fineness = TraceSettings(
         duration_s=duration_s,
         n_rays=0,
-        image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
+        image_order=_ANY_ORDER if images_alone or until_s > 0.0 else _IMAGE_ORDER,
         seed=settings.seed,
         # what images need to be moved follows from their directions in a box along the axes
         keep_image_transforms=images_until_s is not None and scene.room.shoebox_m is None,
     )
-    until_s = 0.0 if images_alone or images_until_s is None else images_until_s
     if until_s > 0.0:
-        fineness = replace(
-            fineness,
-            image_order=_ANY_ORDER,
-            image_until_s=until_s,
-        )
-    if until_s == 0.0 and not is_box:
+        fineness = replace(fineness, image_until_s=until_s)
+    elif not is_box:
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         fineness = replace(fineness, image_order=order)
+    findings = _assumed_finding(priors, settings)
     if not images_alone:
-        beside_images = until_s > 0.0 and not np.any(scattering.coefficients)
-        fineness, few = _with_rays(scene, fineness, fraction, settings, beside_images=beside_images)
+        share = _OF_VALUES if by_values else _OF_THE_DATA
+        fineness, few = _with_rays(
+            scene, fineness, fraction, settings, share, beside_images=until_s > 0.0 and smooth
+        )
         findings += few
-    return TracePlan(fineness, scattering, tuple(findings))
+    return TracePlan(fineness, scattering, findings)
+
+
+def _assumed_finding(priors: tuple[MaterialPrior, ...], settings: Settings) -> tuple[Finding, ...]:
+    names = [k.name for k in priors if k.scattering is None]
+    if not names:
+        return ()
+    assumed = settings.default_scattering
+    text = f"The scattering of {', '.join(names)} is unspecified; {assumed:g} was assumed."
+    evidence = {"materials": names, "scattering": assumed}
+    about, remedies = About(materials=names), scattering_remedies(names, assumed)
+    return (Finding(Code.SCATTERING_ASSUMED, about, text, evidence, remedies=remedies),)
 
 
 def traced_s(longest_decay_s: float, latest_window_s: float) -> float:
@@ -210,6 +210,7 @@ def _with_rays(
     fineness: TraceSettings,
     fraction: float,
     settings: Settings,
+    of_the_data: float,
     *,
     beside_images: bool,
 ) -> tuple[TraceSettings, tuple[Finding, ...]]:
@@ -217,7 +218,7 @@ def _with_rays(
     volume = volume_m3(scene.room.mesh)
     window_s = _WINDOW_PER_TIME * _DECIDING_DB / _FOLLOWED_DB * fineness.duration_s
     own_variance = _MODEL_ERROR**2 + 1.0 / (_BANDWIDTH_HZ * window_s)
-    crossings_per_s = _CROSSINGS_AS_ONE / (_OF_THE_DATA**2 * own_variance * window_s)
+    crossings_per_s = _CROSSINGS_AS_ONE / (of_the_data**2 * own_variance * window_s)
     # rays times the square of the radius
     needed_m2 = crossings_per_s * volume / (np.pi * speed_of_sound_m_s(scene.air) * fraction)
     radius_m = settings.receiver_radius_m
@@ -227,12 +228,13 @@ def _with_rays(
             wide_m = _RADIUS_PER_FREE_PATH * 4.0 * volume / surface_area_m2(scene.room.mesh)
             fitting_m, _ = fitting_radii_m(scene, max(wide_m, radius_m))
             radius_m = max(radius_m, float(fitting_m.min()))
+    fineness = replace(fineness, receiver_radius_m=radius_m)
     stated = settings.n_rays_beside_images if beside_images else settings.n_rays
     if stated is not None:
-        return replace(fineness, n_rays=stated, receiver_radius_m=radius_m), ()
-    needed = needed_m2 / radius_m**2 * (_BESIDE_IMAGES if beside_images else 1.0)
-    least = round(LEAST_RAYS * (_BESIDE_IMAGES if beside_images else 1.0))
-    fineness = replace(fineness, n_rays=max(least, math.ceil(needed)), receiver_radius_m=radius_m)
+        return replace(fineness, n_rays=stated), ()
+    share = _BESIDE_IMAGES if beside_images else 1.0
+    needed = needed_m2 / radius_m**2 * share
+    fineness = replace(fineness, n_rays=max(round(LEAST_RAYS * share), math.ceil(needed)))
     n_bytes = expected_paths(scene, fineness) * path_bytes(scene)
     if n_bytes <= _MOST_PATH_BYTES:
         return fineness, ()
@@ -240,17 +242,14 @@ def _with_rays(
     fineness = replace(fineness, n_rays=affordable)
     if affordable >= needed:
         return fineness, ()
-    larger = math.sqrt(needed / affordable)
-    return fineness, (
-        Finding(
-            Code.FEW_RAYS,
-            About(),
-            f"{math.ceil(needed):,} rays a source are needed for a Monte-Carlo error of a third of "
-            f"the data's own; 1 GB holds the paths of {affordable:,}, whose error is {larger:.1f} "
-            "times that.",
-            {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger},
-        ),
+    larger, words = math.sqrt(needed / affordable), "half" if of_the_data > 0.4 else "a third"
+    text = (
+        f"{math.ceil(needed):,} rays a source are needed for a Monte-Carlo error of {words} of "
+        f"the data's own; 1 GB holds the paths of {affordable:,}, whose error is {larger:.1f} "
+        "times that."
     )
+    numbers = {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger}
+    return fineness, (Finding(Code.FEW_RAYS, About(), text, numbers),)
 
 
 def scattering_remedies(materials: Sequence[str], value: float) -> tuple[Remedy, ...]:

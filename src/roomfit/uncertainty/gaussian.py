@@ -39,7 +39,6 @@ from roomfit.model.parameters import (
 )
 from roomfit.model.problem import Objective
 from roomfit.solver import BandFit, Ending
-from roomfit.uncertainty.profile import Profile
 
 WIDEST_IDENTIFIABLE = 0.2
 LARGEST_CHI2_REDUCED = 2.0
@@ -104,7 +103,7 @@ class BandEstimate:
     # how each interval was made: "gaussian", "profile", "given", or "none" where the
     # data determine nothing
     kinds: tuple[str, ...] = ()
-    profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
+    n_profiles: int = 0  # of how many absorptions the likelihood was profiled
     # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
     draws: FloatArray | None = None
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry

@@ -113,7 +113,7 @@ def profiled(band: FittedBand) -> BandEstimate:
             continue
         prediction = objective.predict(fit.vector) if prediction is None else prediction
         line = profile(objective, fit, entry, prediction)
-        found.append(replace(line, entry=int(own)))
+        found.append(line)
         if line.gaussian:
             continue
         at, ends = free[own], np.array(free)
@@ -129,7 +129,7 @@ def profiled(band: FittedBand) -> BandEstimate:
         lower95=lower[leader],
         upper95=upper[leader],
         kinds=tuple(kinds[i] for i in leader),
-        profiles=tuple(found),
+        n_profiles=len(found),
         evaluations=answer.evaluations + bool(found) + sum(p.evaluations for p in found),
     )
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -42,18 +41,10 @@ _LARGEST_LOG = 100.0
 _FOLLOWING = MarquardtSettings(max_trials=30, longest_entry=3.0, gain=0.01)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Profile:
-    """The cost along one unknown, all others re-fitted at every point."""
+class Profile(NamedTuple):
+    """How far one unknown can go, all others re-fitted."""
 
-    entry: int  # of the free vector
-    # (n_points,), free numbers at which it was computed, rising; the answer is among them
-    points: FloatArray
-    # (n_points,), cost above that of the answer, misfit taken out: 1.92 at the end of a 95 %
-    # interval
-    rise: FloatArray
-    # lower, upper: free numbers at which the rise is 1.92
-    lower: float
+    lower: float  # free number at which the cost has risen by 1.92, misfit taken out
     upper: float
     gaussian: bool  # whether the Gaussian interval was good enough; then its ends are these
     evaluations: int
@@ -90,17 +81,8 @@ def profile(
                 rise, slope = line.rise(sign * here)
                 here, is_end = line.towards_end(sign, here, rise, slope, bracket)
         ends.append(sign * here)
-    order = np.argsort(line.moves)
     centre = float(fit.vector[entry])
-    return Profile(
-        entry,
-        centre + np.array(line.moves)[order],
-        np.array(line.rises)[order],
-        centre + ends[0],
-        centre + ends[1],
-        not found_bent,
-        line.evaluations,
-    )
+    return Profile(centre + ends[0], centre + ends[1], not found_bent, line.evaluations)
 
 
 def may_be_bent(fit: BandFit, entry: int) -> bool:
@@ -109,8 +91,7 @@ def may_be_bent(fit: BandFit, entry: int) -> bool:
     return bool(np.sqrt(variance) > _NARROW)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Point:
+class _Point(NamedTuple):
     """The cost at one point of a line, and its second-order expansion in all free numbers."""
 
     vector: FloatArray  # (n_free,)
@@ -136,9 +117,7 @@ class _Line:
         )
         _, _, curvature = self._followed(at_answer)
         self.sd = float(np.sqrt(self.flattening / curvature))
-        self.moves, self.rises = [0.0], [0.0]
-        self.points = [at_answer]
-        self.evaluations = 0
+        self.moves, self.points, self.evaluations = [0.0], [at_answer], 0
 
     def rise(self, move: float) -> tuple[float, float]:
         """Return the re-fitted cost at a distance, above that of the answer, and its slope.
@@ -167,7 +146,6 @@ class _Line:
         gain, slope, _ = self._followed(point)
         rise = (point.cost - gain - self.fit.cost) / self.flattening
         self.moves.append(move)
-        self.rises.append(rise)
         self.points.append(point)
         return rise, slope / self.flattening
 
@@ -292,21 +270,3 @@ def _absorptions(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray
     out, slope = np.array(vector), np.ones(vector.size)
     out[own], slope[own] = values[block.fitted], np.maximum(slopes[block.fitted], 1e-12)
     return out, slope
-
-
-def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, FloatArray]:
-    """Return free numbers and rises of a smooth curve through the points of a profile.
-
-    The signed root of the rise, straight where the likelihood is Gaussian, is interpolated
-    without overshooting.
-
-    Shape (n_points,).
-    """
-    from scipy.interpolate import PchipInterpolator
-
-    rise = np.maximum(found.rise, 0.0)
-    bottom = int(np.argmin(rise))
-    root = np.sqrt(rise) * np.where(np.arange(rise.size) < bottom, -1.0, 1.0)
-    free = np.linspace(found.points[0], found.points[-1], n_points)
-    points, first = np.unique(found.points, return_index=True)
-    return free, np.asarray(PchipInterpolator(points, root[first])(free) ** 2)
