@@ -64,40 +64,40 @@ class AbsorptionPosterior:
     objects: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "materials", unique_names("material", self.materials))
+        def checked(name: str, values: object) -> None:
+            object.__setattr__(self, name, values)
+
+        checked("materials", unique_names("material", self.materials))
         n, m = len(self.materials), len(self.bands)
-        for name, low, high in (
-            *(("absorption", 0.0, 1.0), ("lower95", 0.0, 1.0), ("upper95", 0.0, 1.0)),
-            *(("prior_logit_mean", -50.0, 50.0), ("prior_logit_sd", 0.0, 50.0)),
+        for name, shape, low, high in (
+            *((x, (n, m), 0.0, 1.0) for x in ("absorption", "lower95", "upper95")),
+            ("prior_logit_mean", (n, m), -50.0, 50.0),
+            ("prior_logit_sd", (n, m), 0.0, 50.0),
+            ("prior_logit_covariance", (m, n, n), -np.inf, np.inf),
+            ("logit_covariance", (m, n, n), -np.inf, np.inf),
+            ("chi2_reduced", (m,), 0.0, np.inf),
+            ("draws", (None, n, m), 0.0, 1.0),
+            ("areas_m2", (n,), 0.0, np.inf),
         ):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
-        if self.prior_logit_covariance is not None:
-            values = float_array("prior covariance", self.prior_logit_covariance, (m, n, n))
-            object.__setattr__(self, "prior_logit_covariance", values)
+            if (value := getattr(self, name)) is not None:
+                words = "reduced chi-square" if name == "chi2_reduced" else name
+                checked(name, float_array(words, value, shape, low=low, high=high))
         if self.scattering is not None:
-            object.__setattr__(self, "scattering", _scattering(self.scattering, (n, m)))
-        if self.chi2_reduced is not None:
-            misfit = float_array("reduced chi-square", self.chi2_reduced, (m,), low=0.0)
-            object.__setattr__(self, "chi2_reduced", misfit)
-        if self.by_pressures is not None:
-            flags = bool_array("by_pressures", self.by_pressures, (m,))
-            object.__setattr__(self, "by_pressures", flags)
-        if self.prior_specified is not None:
-            flags = bool_array("prior_specified", self.prior_specified, (n,))
-            object.__setattr__(self, "prior_specified", flags)
-        if self.draws is not None:
-            drawn = float_array("draws", self.draws, (None, n, m), low=0.0, high=1.0)
-            object.__setattr__(self, "draws", drawn)
-        if self.areas_m2 is not None:
-            object.__setattr__(self, "areas_m2", float_array("areas", self.areas_m2, (n,), low=0.0))
+            values = np.array(self.scattering, dtype=np.float64)
+            # NaN, for unspecified, passes where it fills a row
+            unspecified = np.isnan(values).all(axis=-1, keepdims=True)
+            known = np.where(unspecified, 0.0, values)
+            float_array("scattering", known, (n, m), low=0.0, high=1.0)
+            checked("scattering", read_only(values))
+        for name, size in (("by_pressures", m), ("prior_specified", n)):
+            if (flags := getattr(self, name)) is not None:
+                checked(name, bool_array(name, flags, (size,)))
         if self.fitted_jnd is not None:
             departures = np.array(self.fitted_jnd, dtype=np.float64)
             known = np.nan_to_num(departures)  # what is infinite is refused
             float_array("departures of fitted pairs", known, (None, None, m), low=-1e6, high=1e6)
-            object.__setattr__(self, "fitted_jnd", read_only(departures))
-        covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
+            checked("fitted_jnd", read_only(departures))
+        covariance = self.logit_covariance
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
         lowest = min((float(np.linalg.eigvalsh(c)[0]) for c in covariance), default=0.0)
@@ -109,7 +109,6 @@ class AbsorptionPosterior:
                 found=f"smallest eigenvalue {lowest:.3g}",
                 needed="a symmetric matrix per band without negative eigenvalues",
             )
-        object.__setattr__(self, "logit_covariance", covariance)
         for name, directivity in (self.directivities or {}).items():
             found = _n_bands(directivity)
             if found not in (None, m):
@@ -118,7 +117,7 @@ class AbsorptionPosterior:
                     found=f"{found} bands",
                     needed=f"{m}",
                 )
-        object.__setattr__(self, "directivities", MappingProxyType(dict(self.directivities or {})))
+        checked("directivities", MappingProxyType(dict(self.directivities or {})))
 
     @property
     def is_unknown(self) -> BoolArray:
@@ -148,13 +147,6 @@ def prior_law(posterior: AbsorptionPosterior) -> tuple[FloatArray, FloatArray] |
     alone = sd.T[:, :, None] ** 2 * np.eye(len(sd))
     together = posterior.prior_logit_covariance
     return mean.T, alone if together is None else together
-
-
-def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Check coefficients; NaN, for unspecified, passes where it fills a row."""
-    unspecified = np.isnan(np.asarray(values, dtype=np.float64)).all(axis=-1, keepdims=True)
-    float_array("scattering", np.where(unspecified, 0.0, values), shape, low=0.0, high=1.0)
-    return read_only(np.array(values, dtype=np.float64))
 
 
 def _n_bands(directivity: Directivity) -> int | None:
@@ -329,13 +321,11 @@ DEFAULT_PRIOR_SD_SCALE = 2.0
 def draw_absorption(
     posterior: AbsorptionPosterior, n_draws: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of absorption, each band by itself.
+    """Return draws of absorption, each band by itself, shape (n_draws, n_materials, n_bands).
 
     Those that the posterior brings along, where it does. Otherwise, where it has its prior,
     draws stay where the data are (`band_draws`), and are Gaussian in logit absorption without;
     these come in mirrored pairs.
-
-    Shape (n_draws, n_materials, n_bands).
     """
     if posterior.draws is not None:
         return np.array(posterior.draws[: max(n_draws, 2)])
@@ -350,10 +340,8 @@ def draw_absorption(
             share = expit(logit(a) + step @ direction.T)
             draws[:, :, band] = np.where(np.diag(covariance) == 0.0, a, share)
         else:
-            prior = law[0][band], law[1][band]
-            draws[:, :, band] = band_draws(
-                a, covariance, *prior, n, rng, specified=posterior.prior_specified
-            )
+            own = a, covariance, law[0][band], law[1][band]
+            draws[:, :, band] = band_draws(*own, n, rng, specified=posterior.prior_specified)
     return draws
 
 
@@ -373,25 +361,22 @@ def band_draws(
     them all one way, and then their sum lies farther off than its parts. The draws take such a
     prior for up to twice as wide as the answer did: by as much as the data know of the wall.
 
-    Shapes: `absorption` (n_materials,), `covariance_logit` (n_materials, n_materials),
-    `prior_logit_mean` (n_materials,), `prior_logit_covariance` (n_materials, n_materials),
-    `specified` (n_materials,).
+    Shapes: `absorption, prior_logit_mean, specified` (n_materials,), `covariance_logit,
+    prior_logit_covariance` (n_materials, n_materials).
     """
-    fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
     own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
         mean, prior = prior_logit_mean[own], prior_logit_covariance[np.ix_(own, own)]
-        answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, prior)
+        covariance = covariance_logit[np.ix_(own, own)]
         # where the data determine little a wider prior would leave other walls undetermined
-        information_fraction = np.clip(1.0 - np.diag(answer[1]) / np.diag(prior), 0.0, 1.0)
+        informed = np.clip(1.0 - np.diag(covariance) / np.diag(prior), 0.0, 1.0)
         sd = np.sqrt(shared_variance(prior))
         is_default = is_default_prior(mean, sd) if specified is None else ~specified[own]
-        prior_sd_scale = np.where(
-            is_default, 1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction, 1.0
-        )
-        drawn = rto_draws(*answer, n_draws, rng, prior_sd_scale=prior_sd_scale)
-        draws[:, ~fixed] = drawn[:, twin]
+        scale = np.where(is_default, 1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * informed, 1.0)
+        answer = absorption[own], covariance, mean, prior
+        drawn = rto_draws(*answer, n_draws, rng, prior_sd_scale=scale)
+        draws[:, np.diag(covariance_logit) > 0.0] = drawn[:, twin]
     return draws
 
 
@@ -418,14 +403,13 @@ def prior_draws(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return draws of one band from the prior alone, shape (n_draws, n_materials)."""
-    fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
     own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
         noise = antithetic_normals(n_draws, own.size, rng)
         root = np.linalg.cholesky(prior_logit_covariance[np.ix_(own, own)])
         drawn = expit(prior_logit_mean[own] + noise @ root.T)
-        draws[:, ~fixed] = drawn[:, twin]
+        draws[:, np.diag(covariance_logit) > 0.0] = drawn[:, twin]
     return draws
 
 
@@ -437,17 +421,14 @@ def _own(
     Errors that are added to each material by itself leave a tie in the prior alone, and a file
     without the prior's covariance holds it in that of the answer alone.
     """
-    varying = np.flatnonzero(np.diag(covariance) > 0.0)
-    own: list[int] = []
-    twin: list[int] = []
-    for i in varying:
+    own, twin = list[int](), list[int]()
+    for i in np.flatnonzero(np.diag(covariance) > 0.0).tolist():
         same = [
             k
             for k, j in enumerate(own)
             if absorption[j] == absorption[i]
             and (np.array_equal(prior[j], prior[i]) or np.allclose(covariance[j], covariance[i]))
         ]
-        if not same:
-            own.append(int(i))
-        twin.append(same[0] if same else len(own) - 1)
+        twin.append(same[0] if same else len(own))
+        own += [] if same else [i]
     return np.array(own, dtype=np.int64), np.array(twin, dtype=np.int64)
