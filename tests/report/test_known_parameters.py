@@ -12,7 +12,6 @@ from report_cases import answer_of, read_page, scene_of, texts_of
 from roomfit.files.results import result_content
 from roomfit.predict.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
 from roomfit.report.answer import report_html
-from roomfit.report.figures import decay_figure
 from roomfit.report.prediction_figures import predicted_decay_figure
 from roomfit.report.tables import error_tables, pair_sections, sti_tables
 from roomfit.report.wording import DASH
@@ -43,24 +42,6 @@ def with_parameters(names, *, curves=False):
 
 def time_of(names):
     return next((name for name in TIMES if name in names), None)
-
-
-@pytest.mark.slow
-def test_decay_pictures_name_the_decay_time_that_is_known():
-    for names in SUBSETS:
-        answer = with_parameters(names, curves=True)
-        pair = answer.pairs[0]
-        (axes,) = decay_figure(answer, pair).axes
-        assert axes.get_title(loc="left") == "1000 Hz"
-        (reported,) = [t.get_text() for t in axes.texts]
-        time = time_of(names)
-        if time is None:
-            assert reported == ""
-        else:
-            measured, predicted = (
-                getattr(pair.parameters[time], k)[0] for k in ("measured", "predicted")
-            )
-            assert reported == f"{SYMBOLS[time]} {measured:.2f} → {predicted:.2f} s"
 
 
 def test_the_tables_of_the_report_show_the_parameters_and_no_others():
