@@ -23,7 +23,6 @@ from roomfit.materials.priors import (
     plain_logit_law,
     prior_logits,
 )
-from roomfit.room.scene import Scene, material_areas_m2, plan_in_words, wall_materials
 from roomfit.settings import Settings
 from roomfit.uncertainty.posterior import AbsorptionPosterior, plain_logit_covariance
 
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     # compiled, and nobody who reads a result waits for it
     from roomfit.fit.fits import FittedGeometry
     from roomfit.model.directivity import FittedDirectivity
+    from roomfit.room.scene import Scene
     from roomfit.uncertainty.combinations import Combination, Determined
     from roomfit.uncertainty.gaussian import BandEstimate
 
@@ -172,11 +172,15 @@ class Result(Shown):
     @property
     def materials(self) -> tuple[str, ...]:
         """Those of surfaces; objects are in `objects`."""
+        from roomfit.room.scene import wall_materials
+
         return wall_materials(self.scene.room)
 
     @property
     def areas_m2(self) -> FloatArray:
         """Area of each material, shape (n_materials,)."""
+        from roomfit.room.scene import material_areas_m2
+
         return material_areas_m2(self.scene.room)[: len(self.materials)]
 
     @property
@@ -231,6 +235,8 @@ class Result(Shown):
     @property
     def plan(self) -> tuple[str, ...]:
         """Where each source and receiver was taken to stand, in words."""
+        from roomfit.room.scene import plan_in_words
+
         return plan_in_words(self.scene)
 
     @property
@@ -434,6 +440,8 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         np.stack([getattr(b, name) for b in estimates], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
+    from roomfit.room.scene import material_areas_m2
+
     mean, law = plain_logit_law(priors)
     is_shared = any(k.product is not None or k.tied_to is not None for k in priors)
     draws = [b.draws for b in estimates if b.draws is not None]
