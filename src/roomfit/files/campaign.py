@@ -115,29 +115,6 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     InputError
         The file is missing, not TOML, has an unknown key (the nearest known one is named), a value
         of the wrong kind, or measurements that name undefined sources or receivers.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> text = '''
-    ... [room]
-    ... shoebox = [6, 5, 3]
-    ... [sources.S]
-    ... position = [1.5, 1.2, 1.5]
-    ... [receivers.R]
-    ... position = [4.0, 3.5, 1.2]
-    ... [[measurements]]
-    ... parameters = "measured.csv"
-    ... '''
-    >>> table = "source,receiver,parameter,500,1000\\nS,R,T30,0.9,0.8\\n"
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "campaign.toml"
-    ...     _ = file.write_text(text)
-    ...     _ = file.with_name("measured.csv").write_text(table)
-    ...     campaign = read_campaign(file)
-    >>> [point.name for point in campaign.receivers], campaign.settings.method
-    (['R'], 'auto')
     """
     path = Path(path)
     content = read_toml(path)

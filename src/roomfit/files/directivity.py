@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roomfit.base.arguments import check_range
 from roomfit.base.bands import Bands
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
@@ -53,35 +54,32 @@ def read_directivity(
             )
         directions = _directions(sofa, magnitude.shape[0])
         energy = np.empty((len(directions), len(bands)))
+        octaves = np.log2(np.maximum(frequencies_hz, 1e-3))
         for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):
             inside = (frequencies_hz >= low) & (frequencies_hz < high)
-            if not inside.any():
-                inside = _nearest(frequencies_hz, low, high, float(bands.centres_hz[band]))
+            if not inside.any():  # the one that is nearest, which the band's own centre rounds to
+                off = np.abs(octaves - np.log2(bands.centres_hz[band]))
+                inside = np.arange(len(off)) == np.argmin(off)
+                if off.min() > 1.01 * np.log2(high / low) / 2.0:
+                    raise InputError(
+                        "the directivity has no value for a band",
+                        found=f"{frequencies_hz.min():g} to {frequencies_hz.max():g} Hz",
+                        needed=f"a frequency from {low:g} to {high:g} Hz",
+                        hint="choose other bands with from_hz and to_hz",
+                    )
             energy[:, band] = np.mean(magnitude[:, inside] ** 2, axis=1)
     return measured_directivity(directions, energy, bands.centres_hz, loudspeaker_axes(aim, up))
 
 
 def _spectra(sofa: Variables, data_type: str) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (n,) and magnitudes (n_directions, n)."""
-    impulse = sofa_data(sofa, "Data.IR")
-    rate_hz = sofa_values(sofa, "Data.SamplingRate")
-    if impulse is not None and rate_hz is not None and rate_hz.size == 1:
-        samples = _one_measurement(impulse)
-        spectrum = np.abs(np.fft.rfft(samples, axis=1))
-        single_hz = float(rate_hz.reshape(-1)[0])
-        if not 0.0 < single_hz < np.inf:
-            raise InputError(
-                "the sampling rate is out of range",
-                where="Data.SamplingRate",
-                found=f"{single_hz:g} Hz",
-                needed="more than 0 Hz",
-                hint="store Data.SamplingRate in Hz, as 48000",
-            )
-        step_s = 1.0 / single_hz
-        own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
-        return own, np.asarray(spectrum)
-    real = sofa_data(sofa, "Data.Real")
-    imaginary = sofa_data(sofa, "Data.Imag")
+    impulse, rates_hz = sofa_data(sofa, "Data.IR"), sofa_values(sofa, "Data.SamplingRate")
+    if impulse is not None and rates_hz is not None and rates_hz.size == 1:
+        samples, rate_hz = _one_measurement(impulse), float(rates_hz.reshape(-1)[0])
+        check_range("Data.SamplingRate", rate_hz, 1e-3, 1e9, "Hz")
+        frequencies_hz = np.fft.rfftfreq(samples.shape[1], 1.0 / rate_hz)
+        return np.asarray(frequencies_hz), np.asarray(np.abs(np.fft.rfft(samples, axis=1)))
+    real, imaginary = (sofa_data(sofa, f"Data.{part}") for part in ("Real", "Imag"))
     frequencies = sofa_values(sofa, "N")
     if real is None or imaginary is None or frequencies is None or real.shape != imaginary.shape:
         raise InputError(
@@ -143,56 +141,31 @@ def _cartesian(sofa: Variables, name: str, n: int) -> FloatArray | None:
     if values.ndim == 3:  # receiver, coordinate, measurement
         values = np.moveaxis(values, 1, 2)
     values = values.reshape(n, 3)
-    spherical = _is_spherical(sofa, name)
-    units = sofa[name].attributes.get("Units")
-    # the length of a direction in Cartesian coordinates has no unit that matters
-    if units is not None and (spherical or name.endswith("Position")):
-        _check_units(str(units), spherical, name)
-    if not spherical:
-        return values
-    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
-    across = values[:, 2] * np.cos(elevation)
-    height = values[:, 2] * np.sin(elevation)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
-
-
-def _is_spherical(sofa: Variables, name: str) -> bool:
     kind = sofa[name].attributes.get("Type")
     view = sofa.get(name.replace("Up", "View"))
     if kind is None and view is not None:  # an Up shares the type of the View
         kind = view.attributes.get("Type")
     if kind not in (None, "cartesian", "spherical"):
-        what = "the SOFA file has coordinates of another type"
-        needed = "cartesian or spherical"
+        what, needed = "the SOFA file has coordinates of another type", "cartesian or spherical"
         hint = "directions on a grid instead of coefficients of spherical harmonics"
         raise InputError(what, where=name, found=f"Type {kind!r}", needed=needed, hint=hint)
-    return kind == "spherical"
+    spherical, units = kind == "spherical", sofa[name].attributes.get("Units")
+    # the length of a direction in Cartesian coordinates has no unit that matters
+    if units is not None and (spherical or name.endswith("Position")):
+        words = [word.rstrip("s") for word in str(units).lower().replace(",", " ").split()]
+        found = [_SPELLINGS.get(word, word) for word in words]
+        expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
+        if found != expected:
+            what = "the SOFA file has coordinates in other units"
+            needed = "degree, degree, metre" if spherical else "metre"
+            hint = f"convert them, and set the attribute Units of {name}"
+            raise InputError(what, where=name, found=repr(str(units)), needed=needed, hint=hint)
+    if not spherical:
+        return values
+    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
+    across, height = values[:, 2] * np.cos(elevation), values[:, 2] * np.sin(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
 
 
-def _check_units(units: str, spherical: bool, name: str) -> None:
-    """Refuse other units than AES69 has; it is written in several spellings."""
-    names = {"meter": "metre", "m": "metre", "deg": "degree"}
-    words = [word.rstrip("s") for word in units.lower().replace(",", " ").split()]
-    found = [names.get(word, word) for word in words]
-    expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
-    if found != expected:
-        what = "the SOFA file has coordinates in other units"
-        needed = "degree, degree, metre" if spherical else "metre"
-        hint = f"convert them, and set the attribute Units of {name}"
-        raise InputError(what, where=name, found=repr(units), needed=needed, hint=hint)
-
-
-def _nearest(
-    frequencies_hz: FloatArray, low: float, high: float, centre_hz: float
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return the one frequency nearest to a band, which the band's own centre rounds to."""
-    octaves = np.abs(np.log2(np.maximum(frequencies_hz, 1e-3) / centre_hz))
-    best = int(np.argmin(octaves))
-    if octaves[best] > 1.01 * np.log2(high / low) / 2.0:
-        raise InputError(
-            "the directivity has no value for a band",
-            found=f"{frequencies_hz.min():g} to {frequencies_hz.max():g} Hz",
-            needed=f"a frequency from {low:g} to {high:g} Hz",
-            hint="choose other bands with from_hz and to_hz",
-        )
-    return np.asarray(np.arange(frequencies_hz.size) == best)
+# of the units that AES69 has
+_SPELLINGS = {"meter": "metre", "m": "metre", "deg": "degree"}

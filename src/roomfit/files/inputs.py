@@ -75,23 +75,18 @@ def source_directivities(
     """Return the directivity of every source that is not omnidirectional."""
     found = {}
     for name, table in campaign.directivities.items():
-        with located(f"{campaign.path}, sources.{name}.directivity"):
-            directivity = _directivity(campaign, table, bands)
-        if directivity is not None:
-            found[name] = directivity
+        if table != "omni":
+            with located(f"{campaign.path}, sources.{name}.directivity"):
+                found[name] = _directivity(campaign, table, bands)
     return found
 
 
 def _directivity(
     campaign: Campaign, table: SourceDirectivity, bands: Bands
-) -> Directivity | UnknownDirectivity | None:
+) -> Directivity | UnknownDirectivity:
     folder = campaign.path.parent
-    if table == "omni":
-        return None
-    if table == "fit":
-        return UnknownDirectivity()
     if isinstance(table, str):
-        return read_directivity(folder / table, bands)
+        return UnknownDirectivity() if table == "fit" else read_directivity(folder / table, bands)
     if isinstance(table, FirstOrderTable):
         known = aimed(table.aim, table.b)
         return UnknownDirectivity(known.b, table.b_sd) if table.b_sd > 0.0 else known
@@ -449,16 +444,9 @@ def _furnished(room: Room, campaign: Campaign) -> Room:
 
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:
     """Return every source with every receiver that a campaign defines."""
-    n_sources, n_receivers = len(campaign.sources), len(campaign.receivers)
-    pairs = np.stack(np.meshgrid(range(n_sources), range(n_receivers), indexing="ij"), axis=-1)
-    return Scene(
-        room,
-        campaign.sources,
-        campaign.receivers,
-        pairs.reshape(-1, 2).astype(np.int64),
-        campaign.air,
-        groups=campaign.groups,
-    )
+    sources, receivers = campaign.sources, campaign.receivers
+    pairs = np.indices((len(sources), len(receivers)), dtype=np.int64).reshape(2, -1).T
+    return Scene(room, sources, receivers, pairs, campaign.air, groups=campaign.groups)
 
 
 def check_room(spec: RoomSpec) -> RoomCheck:

@@ -144,34 +144,23 @@ def _of_field(
     wanted: Wanted,
 ) -> Question:
     """Return a campaign as a diffuse field."""
-    if (
-        found is None
-        and campaign.reverberation is None
-        and (campaign.measurements or campaign.tables)
-    ):
-        raise InputError(
-            "the absorption of the room is not given",
-            where=str(campaign.path),
-            found="recordings or tables, and no result",
-            needed="a result of what the campaign has measured",
-            hint="roomfit identify first, then --absorption result.json",
-        )
-    if wanted._replace(doubted=False) != Wanted():
-        raise InputError(
-            "without positions there are neither pairs nor states",
-            where=str(campaign.path),
-            found="--pairs, --state or --grid",
-            needed="sources and receivers with positions, and --absorption",
-            hint="leave --pairs, --state and --grid out",
-        )
-    if wanted.doubted and found is None:
-        raise InputError(
-            "decay times and priors alone have no result that could be doubted",
-            where=str(campaign.path),
-            found="--doubted",
-            needed="--absorption, a result, beside it",
-            hint="leave --doubted out: nothing is left out here",
-        )
+    what = found_here = needed = hint = ""
+    has_data = bool(campaign.measurements or campaign.tables)
+    if found is None and campaign.reverberation is None and has_data:
+        what, found_here = "the absorption of the room is not given", "recordings or tables alone"
+        needed = "a result of what the campaign has measured"
+        hint = "roomfit identify first, then --absorption result.json"
+    elif wanted._replace(doubted=False) != Wanted():
+        what, found_here = "without positions there are neither pairs nor states", "such an option"
+        needed = "sources and receivers with positions, and --absorption"
+        hint = "leave --pairs, --state and --grid out"
+    elif wanted.doubted and found is None:
+        what = "decay times and priors alone have no result that could be doubted"
+        found_here, needed = "--doubted", "--absorption, a result, beside it"
+        hint = "leave --doubted out: nothing is left out here"
+    if what:
+        where = str(campaign.path)
+        raise InputError(what, where=where, found=found_here, needed=needed, hint=hint)
     field, room = diffuse_field(campaign)
     with located(str(campaign.path)):
         known = None
