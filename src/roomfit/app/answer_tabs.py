@@ -71,10 +71,10 @@ class IdentifyTab(Tab):
                     self.lowest = field(self.bands, "low", "Lowest octave", _OCTAVES, style=wide)
                     self.highest = field(self.bands, "high", "Highest octave", _OCTAVES, style=wide)
                     text = "First answer, then the full one"
-                    both = partial(self.start, True, False)
+                    both = partial(self._start, True, False)
                     ui.button(text, on_click=both).props("no-caps")
-                    quiet_button("First answer only", partial(self.start, True))
-                    quiet_button("Full answer only", partial(self.start, False))
+                    quiet_button("First answer only", partial(self._start, True))
+                    quiet_button("Full answer only", partial(self._start, False))
                 text = "Mean absorption from the decay times"
                 self.times = quiet_button(text, self.start_times)
                 self.times_alone = ui.label(_TIMES_ALONE).classes("soft").style("flex: 1 1 20rem")
@@ -84,8 +84,7 @@ class IdentifyTab(Tab):
             self.advice = Advice(bench.folder)
             self.answer = ui.element("div").style("width: 100%")
 
-    def start(self, *quick: bool) -> None:
-        """Put identifications in the chosen bands into the queue."""
+    def _start(self, *quick: bool) -> None:
         folder = self.bench.folder
         with saying_errors(self.answer):
             project.check_campaign_there(folder)
@@ -94,7 +93,6 @@ class IdentifyTab(Tab):
                 self.bench.add("First answer" if one else "Full answer", "identify", quick=one)
 
     async def start_times(self) -> None:
-        """Find what decay times alone say, at once: it takes a tenth of a second."""
         with saying_errors(self.answer):
             await self.bench.ask("reverberation")
             await self.refresh()
@@ -147,7 +145,6 @@ class ReportTab(Tab):
         self.exported: dict[str, list[str]] = {}  # files by format, of the answer that is shown
 
     async def export(self, wanted: str) -> None:
-        """Have an export made, and download it where it is one file."""
         with saying_errors(self.answer):
             files = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
             if self.answer.is_deleted:  # the page was closed meanwhile
@@ -164,14 +161,13 @@ class ReportTab(Tab):
         if emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
             self.exported.clear()  # of the answer before
             with self.answer:
-                self.show_answer(found)
+                self._show_answer(found)
         if emptied(self.links, dict(self.exported)):
             with self.links:
                 for file in [file for files in self.exported.values() for file in files]:
                     markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')
 
-    def show_answer(self, found: Path | None) -> None:
-        """Draw links to the files of an answer, and buttons for its exports."""
+    def _show_answer(self, found: Path | None) -> None:
         if found is None:
             ui.label("No answer yet: identify first.").classes("soft")
             return
@@ -189,12 +185,11 @@ class ReportTab(Tab):
         markup(f"<ul>{''.join(f'<li>{link}</li>' for link in links)}</ul>")
         if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
             return
-        self.show_buttons(_WHOLE)
+        self._show_buttons(_WHOLE)
         heading("Materials for other programs")
-        self.show_buttons(_PROGRAMS)
+        self._show_buttons(_PROGRAMS)
 
-    def show_buttons(self, offered: Mapping[str, str]) -> None:
-        """Draw a button for each export."""
+    def _show_buttons(self, offered: Mapping[str, str]) -> None:
         with ui.element("div").classes("bar"):
             for wanted, text in offered.items():
                 quiet_button(text, partial(self.export, wanted))

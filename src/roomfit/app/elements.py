@@ -256,29 +256,27 @@ class Advice:
         with self.place, ui.element("div").classes("panel remedies"):
             heading("What the findings advise")
             for entry in advised:
-                self.show_entry(entry)
+                self._show_entry(entry)
             if can_undo:
                 with ui.element("div").classes("bar"):
-                    quiet_button("Undo the last remedy", self.undo)
+                    quiet_button("Undo the last remedy", self._undo)
 
-    def show_entry(self, entry: Mapping[str, Any]) -> None:
-        """Draw what the findings of one code advise."""
+    def _show_entry(self, entry: Mapping[str, Any]) -> None:
         name, options = str(entry["code"]).replace("-", " "), list(entry["options"])
         text = f"{name[:1].upper()}{name[1:]}" + (f", {entry['n']} times" if entry["n"] > 1 else "")
         markup(finding_html(entry["severity"], text))
         chosen: dict[str, Any] = {"number": 0}
         with ui.element("div").classes("bar"):
             if len(options) == 1:
-                quiet_button(f"Set {options[0]['words']}", partial(self.ask, options[0]))
+                quiet_button(f"Set {options[0]['words']}", partial(self._ask, options[0]))
                 return
             words = dict(enumerate(option["words"] for option in options))
             wide = "flex: 1 1 16rem; min-width: 0"
             field(chosen, "number", f"Set, of {name}", words, style=wide)
             spoken = f"Set this, of {name}"
-            quiet_button("Set this", lambda: self.ask(options[chosen["number"]]), spoken)
+            quiet_button("Set this", lambda: self._ask(options[chosen["number"]]), spoken)
 
-    def ask(self, option: Mapping[str, Any]) -> None:
-        """Show the lines that a remedy writes, as they are and as they will be."""
+    def _ask(self, option: Mapping[str, Any]) -> None:
         with saying_errors(self.place):
             wanted = edits.preview(
                 self.file,
@@ -294,18 +292,16 @@ class Advice:
                 heading("What is written into campaign.toml")
                 markup(f'<dl class="lines">{"".join(lines)}</dl>')
                 with ui.element("div").classes("bar"):
-                    apply = ui.button("Apply", on_click=partial(self.apply, wanted))
+                    apply = ui.button("Apply", on_click=partial(self._apply, wanted))
                     apply.props("no-caps autofocus")
                     quiet_button("Leave it as it is", self.dialog.close)
             self.dialog.open()
 
-    def apply(self, wanted: edits.Preview) -> None:
-        """Write what was shown; the page sees that the file has changed."""
+    def _apply(self, wanted: edits.Preview) -> None:
         self.dialog.close()
         with saying_errors(self.place):
             edits.apply(self.file, wanted)
 
-    def undo(self) -> None:
-        """Take the last remedy back."""
+    def _undo(self) -> None:
         with saying_errors(self.place):
             edits.undo(self.file)

@@ -70,13 +70,12 @@ class MeasureTab(Tab):
                 ).classes("soft")
                 with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
                     for key, label in _LABELS.items():
-                        field(self.asked, key, label, style="width: 7rem", then=self.ask)
+                        field(self.asked, key, label, style="width: 7rem", then=self._ask)
                 self.recorder = Recorder("measured", self.show, asked=dict(self.asked))
             self.quality = ui.element("div").style("margin: 0.75rem 0").props('role="status"')
             self.measured = ui.label().classes("soft")
 
-    def ask(self) -> None:
-        """Hand on what is typed."""
+    def _ask(self) -> None:
         self.recorder.tell(asked=dict(self.asked))
 
     async def show(self, quality: dict[str, Any]) -> None:
@@ -121,49 +120,45 @@ class MeasurementsTab(Tab):
         self.fields: dict[tuple[str, str], list[ui.number]] = {}  # x, y, z by kind and name
         with self.place:
             with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
-                self.draw_files()
+                self._draw_files()
             self.general = ui.element("div")
             self.advice = Advice(bench.folder)
             with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
                 self.table = ui.element("div")
                 with ui.element("div") as self.from_above:
                     nothing: dict[str, Any] = {"edges": [], "points": [], "walls": []}
-                    self.plan = PlanView("dropped", self.drop, plan=nothing)
+                    self.plan = PlanView("dropped", self._drop, plan=nothing)
                     text = "Drag what stands elsewhere. What has no place yet comes to "
                     ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
             self.listed = ui.element("div").classes("panel")
 
-    def draw_files(self) -> None:
-        """Draw places for recordings and tables, and how recordings are named."""
+    def _draw_files(self) -> None:
         text = "Recordings, dropped here or chosen:"
-        file_drop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.name_recordings)
+        file_drop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self._name_recordings)
         with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
             text = "How they are named (left empty: by their names)"
             self.typed = field(self.naming, "template", text, style="flex: 1 1 16rem")
             self.typed.props(f"placeholder='{_EXAMPLE}'")
-            quiet_button("Use these names", self.use_template)
+            quiet_button("Use these names", self._use_template)
         text = "Table of positions (CSV, XLSX), dropped here or chosen:"
         words = "or paste positions: name, x, y, z"
-        file_drop(text, project.POSITIONS, TABLE_SUFFIXES, self.take_positions, words)
+        file_drop(text, project.POSITIONS, TABLE_SUFFIXES, self._take_positions, words)
         with ui.expansion("Only decay times are known") as self.decay_times:
             text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
             words = "or paste decay times: a line of octaves in Hz, a line for each position"
-            file_drop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self.take_times, words)
+            file_drop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self._take_times, words)
 
-    async def name_recordings(self, _: object = None) -> None:
-        """Name recordings that were sent just now."""
-        await self.write(project.name_recordings)
+    async def _name_recordings(self, _: object = None) -> None:
+        await self._write(project.name_recordings)
 
-    async def use_template(self) -> None:
-        """Name recordings by what is typed."""
+    async def _use_template(self) -> None:
         template = self.naming["template"].strip()
-        await self.write(lambda folder, known, _: project.set_template(folder, template, known))
+        await self._write(lambda folder, known, _: project.set_template(folder, template, known))
 
-    async def take_positions(self, names: list[str]) -> None:
-        """Put what the table names where it says."""
-        await self.write(project.name_recordings, names[-1])
+    async def _take_positions(self, names: list[str]) -> None:
+        await self._write(project.name_recordings, names[-1])
 
-    async def write(
+    async def _write(
         self, change: Callable[[Path, Positions, Positions], None], table: str = ""
     ) -> None:
         """Change the campaign by the tables of positions, and show what has become of it."""
@@ -172,17 +167,15 @@ class MeasurementsTab(Tab):
             change(self.bench.folder, known, moved)
             await self.refresh()
 
-    async def take_times(self, names: list[str]) -> None:
-        """Have the mean absorption found from a table of decay times."""
+    async def _take_times(self, names: list[str]) -> None:
         with saying_errors(self.general):
             project.set_decay_times(self.bench.folder, names[-1])
             await self.bench.ask("reverberation")
             await self.refresh()
 
-    async def drop(self, said: Mapping[str, Any]) -> None:
-        """Put a source or a receiver where it was dragged to; its height stays."""
+    async def _drop(self, said: Mapping[str, Any]) -> None:
         with saying_errors(self.general):
-            before = self.position(said["kind"], said["name"])["position_m"]
+            before = self._position(said["kind"], said["name"])["position_m"]
             place_m = (*map(float, said["at"]), _HEIGHT_M if before is None else before[2])
             project.set_position(self.bench.folder, said["kind"], said["name"], place_m)
             await self.refresh()
@@ -190,7 +183,7 @@ class MeasurementsTab(Tab):
     async def type_position(self, kind: str, name: str) -> None:
         """Put a source or a receiver where its three fields say, once all are filled."""
         values = [one.value for one in self.fields[kind, name]]
-        point = self.position(kind, name)
+        point = self._position(kind, name)
         if None in values or point["position_m"] == values:
             return
         with saying_errors(self.general):
@@ -198,7 +191,7 @@ class MeasurementsTab(Tab):
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await self.refresh()
 
-    def position(self, kind: str, name: str) -> dict[str, Any]:
+    def _position(self, kind: str, name: str) -> dict[str, Any]:
         """Return what the campaign has of a source or a receiver."""
         return next(p for p in self.positions if (p["kind"], p["name"]) == (kind, name))
 
@@ -242,15 +235,14 @@ class MeasurementsTab(Tab):
         self.positions = list(positions)
         named = [(p["kind"], p["name"]) for p in positions]
         if named != list(self.fields) or not named:
-            self.draw_fields(named)
+            self._draw_fields(named)
         for key, point in zip(named, positions, strict=True):
             place = point["position_m"]
             values = typed.get(key, [None] * 3) if place == stored.get(key) else place
             for one, value in zip(self.fields[key], values or [None] * 3, strict=True):
                 one.set_value(value)
 
-    def draw_fields(self, named: Sequence[tuple[str, str]]) -> None:
-        """Draw three fields for each source and receiver, empty ones."""
+    def _draw_fields(self, named: Sequence[tuple[str, str]]) -> None:
         self.table.clear()
         self.fields.clear()
         with self.table:

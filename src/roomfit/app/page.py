@@ -69,12 +69,11 @@ class Page:
             for tab in TABS:
                 with ui.tab_panel(tab.name).style("padding: 0.5rem 0"):
                     self.tabs[tab.name] = tab(bench)
-        self.names.on_value_change(self.look)
-        ui.timer(_LOOK_EVERY_S, self.look_at_work)
-        ui.timer(_LOOK_EVERY_S, self.look)  # of its own: a tab may take minutes to be ready
+        self.names.on_value_change(self._look)
+        ui.timer(_LOOK_EVERY_S, self._look_at_work)
+        ui.timer(_LOOK_EVERY_S, self._look)  # of its own: a tab may take minutes to be ready
 
-    async def look(self, _: object = None) -> None:
-        """Draw the open tab anew where its files have changed."""
+    async def _look(self, _: object = None) -> None:
         tab = self.tabs[str(self.names.value)]
         stamp = self.bench.stamp(tab.files)
         if self.shown.get(tab.name) == stamp:
@@ -83,8 +82,7 @@ class Page:
         with saying_errors(self.work):
             await tab.refresh()
 
-    def look_at_work(self) -> None:
-        """Show what is at work, and how far it is."""
+    def _look_at_work(self) -> None:
         jobs = [j for j in self.bench.jobs if j.state in ("waiting", "running")]
         jobs += [j for j in self.bench.jobs if j.state == "failed"][-1:]
         if emptied(self.work, [(j, j.state) for j in jobs]):

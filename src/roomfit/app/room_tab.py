@@ -68,7 +68,7 @@ class RoomTab(Tab):
         """Choose a surface by its number."""
         self.chosen = surface
         self.view.tell(selected=surface, mark=None)
-        self.show_surfaces()
+        self._show_surfaces()
 
     async def refresh(self) -> None:
         """Show the room, or how to begin where there is none."""
@@ -96,11 +96,10 @@ class RoomTab(Tab):
         if emptied(self.faults, found["findings"]):
             with self.faults:
                 for finding in found["findings"]:
-                    self.show_fault(finding)
-        self.show_surfaces()
+                    self._show_fault(finding)
+        self._show_surfaces()
 
-    def show_fault(self, finding: dict[str, Any]) -> None:
-        """Show what is doubtful, with buttons that show the first places of it."""
+    def _show_fault(self, finding: dict[str, Any]) -> None:
         with ui.element("div").classes("bar"):
             own = finding_html(finding["severity"], finding["sentence"])
             markup(own).style("flex: 1 1 16rem")
@@ -108,8 +107,7 @@ class RoomTab(Tab):
                 text = "Show " + ", ".join(f"{x:.2f}" for x in place)
                 quiet_button(text, partial(self.view.tell, selected=-1, mark=place)).props("dense")
 
-    def show_surfaces(self) -> None:
-        """List the surfaces, and show the one that is chosen."""
+    def _show_surfaces(self) -> None:
         own = self.room["surfaces"][self.chosen] if self.chosen >= 0 else None
         colours = [m["colour"] for m in self.room["materials"]]
         listed = self.room["surfaces"][:_MOST_SURFACES]
@@ -120,7 +118,7 @@ class RoomTab(Tab):
                 group = ui.element("div").classes("surfaces")
                 with group.props('role="group" aria-label="Surfaces"'):
                     for i, surface in enumerate(listed):
-                        self.draw_line(i, surface, colours[surface["material_index"]])
+                        self._draw_line(i, surface, colours[surface["material_index"]])
         for i, line in enumerate(self.lines):
             line.props["aria-pressed"] = "true" if i == self.chosen else "false"
         material = {} if own is None else self.room["materials"][own["material_index"]]
@@ -131,10 +129,9 @@ class RoomTab(Tab):
                     text = "Choose a surface, here or in the picture, to say what it is made of."
                     ui.label(text).classes("soft").style("margin-top: 0.5rem")
                 else:
-                    self.draw_details(own, names, material)
+                    self._draw_details(own, names, material)
 
-    def draw_line(self, number: int, surface: dict[str, Any], colour: str) -> None:
-        """Draw a surface as a line of the list, a button."""
+    def _draw_line(self, number: int, surface: dict[str, Any], colour: str) -> None:
         line = ui.element("button").classes("surface").props('type="button"')
         line.on("click", lambda: self.pick(number))
         self.lines.append(line)
@@ -143,10 +140,9 @@ class RoomTab(Tab):
             markup(f"{swatch}{escape(surface['name'])}")
             ui.label(f"{surface['material']}, {surface['area_m2']:.1f} m²").classes("right")
 
-    def draw_details(
+    def _draw_details(
         self, surface: dict[str, Any], names: list[str], material: dict[str, Any]
     ) -> None:
-        """Draw the material of a surface, and what the catalogue has for it, both to be chosen."""
         folder, own = self.bench.folder, dict(surface)
         heading(f"Surface {surface['name']}")
         field(
@@ -155,7 +151,7 @@ class RoomTab(Tab):
             "Material (choose, or type a new name and Enter)",
             names,
             style="width: 100%; margin-bottom: 0.6rem",
-            then=lambda: self.change(
+            then=lambda: self._change(
                 partial(project.set_surface_material, folder, own["name"], str(own["material"]))
             ),
             with_input=True,
@@ -172,7 +168,7 @@ class RoomTab(Tab):
             f"What {material['name']} is (search the catalogue)",
             words,
             style="width: 100%",
-            then=lambda: self.change(
+            then=lambda: self._change(
                 partial(project.set_prior, folder, material["name"], prior["entry"])
             ),
             with_input=True,
@@ -182,8 +178,7 @@ class RoomTab(Tab):
             values = ", ".join(f"{a:.2f}" for a in entry.absorption)
             ui.label(f"Absorption of the catalogue, 63 to 8000 Hz: {values}").classes("small")
 
-    async def change(self, action: Callable[[], None]) -> None:
-        """Change the campaign, and show what has become of the room."""
+    async def _change(self, action: Callable[[], None]) -> None:
         with saying_errors(self.both):
             action()
             found = await self.bench.ask("room_view")
@@ -211,57 +206,54 @@ class RoomStart:
         with self.place:
             if has_campaign:
                 with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
-                    self.draw_file()
-                    self.draw_lengths()
+                    self._draw_file()
+                    self._draw_lengths()
                 return
             with ui.element("div").classes("two"):
                 with ui.element("div").classes("panel"):
                     heading("Begin with your room")
-                    self.draw_file()
+                    self._draw_file()
                     heading("or type a box")
-                    self.draw_lengths()
+                    self._draw_lengths()
                 with ui.element("div").classes("panel"):
                     heading("or look around first")
                     ui.label(_DEMO)
                     demo = partial(self.bench.add, "Demo project", "demo")
                     ui.button("Open the demo project", on_click=demo).props("no-caps")
 
-    def draw_file(self) -> None:
-        """Draw a place for a room file, and its unit."""
-        file_drop("Room file, dropped here or chosen:", "room", READERS, self.use_file)
+    def _draw_file(self) -> None:
+        file_drop("Room file, dropped here or chosen:", "room", READERS, self._use_file)
         units: dict[str | None, str] = {None: "as the file says", **{u: u for u in METRES_PER_UNIT}}
         with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-            field(self.asked, "unit", "Unit", units, style="width: 11rem", then=self.use_file)
+            field(self.asked, "unit", "Unit", units, style="width: 11rem", then=self._use_file)
             typed = {"space": ""}
             name = field(typed, "space", "Which room, of several")
-            on_entered(name, lambda: self.choose_space(typed["space"].strip()))
+            on_entered(name, lambda: self._choose_space(typed["space"].strip()))
 
-    def draw_lengths(self) -> None:
-        """Draw three fields for the lengths of a box."""
+    def _draw_lengths(self) -> None:
         lengths: dict[str, Any] = dict(_LENGTHS_M)
         with ui.element("div").classes("bar"):
             for name in lengths:
                 field(lengths, name, name, style="width: 8rem", min=0.1, step=0.1)
             box = ui.button(
                 "Use this box",
-                on_click=lambda: self.use(shoebox=[own or 0.0 for own in lengths.values()]),
+                on_click=lambda: self._use(shoebox=[own or 0.0 for own in lengths.values()]),
             )
             box.props("no-caps")
 
-    async def choose_space(self, name: str) -> None:
+    async def _choose_space(self, name: str) -> None:
         """Keep the name of a room for the next file, and for one that waits for it."""
         if name != self.asked["space"]:
             self.asked["space"] = name
-            await self.use_file()
+            await self._use_file()
 
-    async def use_file(self, names: list[str] | None = None) -> None:
+    async def _use_file(self, names: list[str] | None = None) -> None:
         """Give the project the last of the files that were sent, now or before."""
         self.file = names[-1] if names else self.file
         if self.file:
-            await self.use(file=self.file)
+            await self._use(file=self.file)
 
-    async def use(self, **room: Any) -> None:
-        """Give the project a room, see `project.set_room`, and show it."""
+    async def _use(self, **room: Any) -> None:
         with saying_errors(self.place):
             await self.bench.ask("set_room", **self.asked, **room)
             await self.then()

@@ -145,7 +145,7 @@ class WhatIfTab(Tab):
                     self.pictures = {name: markup("").classes("panel") for name in LABELS}
                 self.said = ui.element("div")
                 text = "Every pair in numbers"
-                self.pairs = ui.expansion(text, on_value_change=lambda: self.draw_pairs())
+                self.pairs = ui.expansion(text, on_value_change=lambda: self._draw_pairs())
                 with self.pairs.classes("panel"):
                     self.numbers = ui.element("div")
                 self.sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
@@ -163,7 +163,7 @@ class WhatIfTab(Tab):
         elif project.decay_times(self.bench.folder) is not None:
             text = "The decay times are read."
         else:
-            self.refuse("No answer yet: identify first, or give decay times in Measurements.")
+            self._refuse("No answer yet: identify first, or give decay times in Measurements.")
             return
         self.note.set_text(text)
         try:
@@ -177,7 +177,7 @@ class WhatIfTab(Tab):
         doubts = refused or found["left_out"] or self.asked["doubted"]
         self.all_the_same.set_visibility(bool(doubts))
         if refused:
-            self.refuse(refused)
+            self._refuse(refused)
             return
         self.room = found
         self.changes.take_result(found["bands_hz"], found["absorption"])
@@ -187,15 +187,14 @@ class WhatIfTab(Tab):
             self.treatment.show(found["treatment"])
         for of_pairs in (self.pairs, self.sounds):
             of_pairs.set_visibility(TIMES not in found["mean"])
-        self.draw_sounds()
-        self.draw_controls([n for n in LABELS if n in found["mean"]])
+        self._draw_sounds()
+        self._draw_controls([n for n in LABELS if n in found["mean"]])
         self.predicted = found
         self.draw()
         if self.changes.chosen:
             await self.evaluate()
 
-    def refuse(self, why: str) -> None:
-        """Say why nothing can be changed."""
+    def _refuse(self, why: str) -> None:
         self.n_asked += 1  # no answer that is under way is shown
         self.note.set_text(why)
         self.both.set_visibility(False)
@@ -232,8 +231,7 @@ class WhatIfTab(Tab):
 
     # Which material is changed, into what, and the targets that the charts show as lines.
 
-    def draw_controls(self, parameters: Sequence[str]) -> None:
-        """Draw everything for the materials of the changes, unless it is drawn already."""
+    def _draw_controls(self, parameters: Sequence[str]) -> None:
         found = self.changes.found
         if self.asked["material"] not in found:
             self.asked["material"] = next(iter(found))
@@ -242,14 +240,14 @@ class WhatIfTab(Tab):
         with self.choices:
             wide = "width: 14rem"
             self.of = field(
-                self.asked, "material", "Material", [*found], style=wide, then=self.draw_sliders
+                self.asked, "material", "Material", [*found], style=wide, then=self._draw_sliders
             )
             label, wide = "Becomes (search the catalogue)", "flex: 1 1 16rem"
             self.becomes = field(
-                self.asked, "entry", label, catalogue_words(), style=wide, then=self.choose_entry,
+                self.asked, "entry", label, catalogue_words(), style=wide, then=self._choose_entry,
                 with_input=True, clearable=True,
             )  # fmt: skip
-            quiet_button("Undo all changes", self.reset)
+            quiet_button("Undo all changes", self._reset)
         if emptied(self.aims, parameters):
             with self.aims:
                 heading("Targets, as lines in the pictures")
@@ -259,11 +257,11 @@ class WhatIfTab(Tab):
                             self.targets, name, LABELS[name], style="width: 8rem", then=self.draw,
                             step=0.1,
                         ).props("clearable")  # fmt: skip
-        self.draw_sliders()
+        self._draw_sliders()
 
-    def draw_sliders(self) -> None:
+    def _draw_sliders(self) -> None:
         """Bring the sliders to the material that is chosen; what is above them stays."""
-        self.mark_changed()
+        self._mark_changed()
         material = self.asked["material"]
         self.becomes.set_value(self.changes.entry(material))
         self.sliders.clear()
@@ -276,14 +274,13 @@ class WhatIfTab(Tab):
                     own = {"label": f"Absorption of {material} at {word}", "start": values[band]}
                     BandSlider("moved", partial(self.slide, band), throttle=0.05, word=word, **own)
 
-    def mark_changed(self) -> None:
-        """Say in the list which materials are changed."""
+    def _mark_changed(self) -> None:
         chosen = self.changes.chosen
         marked = {m: f"{m} (changed)" if m in chosen else m for m in self.changes.found}
         if self.of.options != marked:
             self.of.set_options(marked)
 
-    async def choose_entry(self) -> None:
+    async def _choose_entry(self) -> None:
         """Let the material become an entry of the catalogue; None: what it is."""
         material, name = self.asked["material"], self.asked["entry"]
         if name == self.changes.entry(material):
@@ -292,20 +289,19 @@ class WhatIfTab(Tab):
             self.changes.chosen.pop(material, None)
         else:
             self.changes.chosen[material] = name
-        self.draw_sliders()
+        self._draw_sliders()
         await self.evaluate()
 
     async def slide(self, band: int, value: float) -> None:
         """Give the material another absorption in one band."""
         if self.changes.move(self.asked["material"], band, float(value)):
-            self.mark_changed()
+            self._mark_changed()
             self.becomes.set_value(None)
             await self.evaluate()
 
-    async def reset(self) -> None:
-        """Take all changes back."""
+    async def _reset(self) -> None:
         self.changes.chosen.clear()
-        self.draw_sliders()
+        self._draw_sliders()
         await self.evaluate()
 
     # What was predicted.
@@ -323,7 +319,7 @@ class WhatIfTab(Tab):
                 if self.targets.get(name) is not None:
                     limits.append({"value": self.targets[name], "bands_hz": bands_hz})
                 picture.set_content(chart_svg(view, name, bands_hz, limits))
-        self.draw_pairs()
+        self._draw_pairs()
         said = [*view["findings"]]
         if view["directions"]:
             said.append({"severity": "info", "sentence": view["directions"]})
@@ -342,8 +338,7 @@ class WhatIfTab(Tab):
             f"{self.room['left_out']}".rstrip()
         )
 
-    def draw_pairs(self) -> None:
-        """Write the table of all pairs, where it is open."""
+    def _draw_pairs(self) -> None:
         view, bands_hz = self.predicted, self.room.get("bands_hz", [])
         if not self.pairs.value or view is None or not emptied(self.numbers, view["pairs"]):
             return
@@ -360,18 +355,15 @@ class WhatIfTab(Tab):
 
     # What the changes sound like, as responses or by a dry recording.
 
-    def make_sounds(self) -> None:
-        """Put the making of the sounds into the queue."""
+    def _make_sounds(self) -> None:
         own = {key: self.asked[key] for key in ("dry", "doubted")}
         self.bench.add("Before and after", "listen", changes=self.changes.written(), **own)
 
-    async def take_dry(self, names: list[str]) -> None:
-        """Choose the last of the recordings that were sent."""
+    async def _take_dry(self, names: list[str]) -> None:
         self.asked["dry"] = names[-1]
-        self.draw_sounds()
+        self._draw_sounds()
 
-    def draw_sounds(self) -> None:
-        """Show what can be listened to, unless it is shown already."""
+    def _draw_sounds(self) -> None:
         known = [file.name for file in project.listed(self.bench.folder, project.DRY)]
         made = self.bench.folder / project.LISTENED / "listen.json"
         if not emptied(self.sounds, (known, made.is_file() and file_address(made))):
@@ -382,10 +374,10 @@ class WhatIfTab(Tab):
         with self.sounds:
             heading("Before and after, to listen to")
             text = "A dry recording of one channel:"
-            file_drop(text, project.DRY, RESPONSE_SUFFIXES, self.take_dry)
+            file_drop(text, project.DRY, RESPONSE_SUFFIXES, self._take_dry)
             with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
                 field(self.asked, "dry", "What to listen to", own, style="flex: 1 1 16rem")
-                quiet_button("Make the sounds of what is set above", self.make_sounds)
+                quiet_button("Make the sounds of what is set above", self._make_sounds)
             if made.is_file():
                 markup(sounds_html(made.parent))
 
@@ -442,7 +434,7 @@ class TreatmentForm:
             self.room = room
             self.draw()
         self.read = question
-        self.show_answer(view["sentence"])
+        self._show_answer(view["sentence"])
 
     def written(self) -> dict[str, Any]:
         """Return what the fields hold as the file has it: empty ones are no keys."""
@@ -462,7 +454,6 @@ class TreatmentForm:
         return own
 
     async def search(self) -> None:
-        """Write the file, and put the search into the queue."""
         with saying_errors(self.place):
             await self.bench.ask("ask_treatment", question=self.written())
             self.bench.add("What to hang where", "treat", doubted=self.is_doubted())
@@ -475,7 +466,7 @@ class TreatmentForm:
             heading("Surfaces that may be covered", 3)
             with ui.element("div").classes("asked"):
                 for name in dict.fromkeys([*areas_m2, *asked["surfaces"]]):
-                    self.draw_surface(name, areas_m2.get(name))
+                    self._draw_surface(name, areas_m2.get(name))
             heading("Products", 3)
             self.products = ui.element("div").classes("asked")
             adding: dict[str, Any] = {"product": None}
@@ -485,7 +476,7 @@ class TreatmentForm:
                 "Add a product (search the catalogue)",
                 catalogue_words(),
                 style="max-width: 34rem",
-                then=lambda: self.add_product(adding["product"]),
+                then=lambda: self._add_product(adding["product"]),
                 with_input=True,
             )
             heading("Targets", 3)
@@ -497,11 +488,10 @@ class TreatmentForm:
                 words = {**_ODDS, odds: f"{100 * odds:g} %"}
                 label = "Met with a probability of"
                 field(asked, "probability", label, words, style="width: 13rem")
-        self.draw_products()
-        self.draw_targets()
+        self._draw_products()
+        self._draw_targets()
 
-    def draw_surface(self, name: str, area_m2: float | None) -> None:
-        """Draw whether a surface may be covered, and how much of it."""
+    def _draw_surface(self, name: str, area_m2: float | None) -> None:
         text = f"{name}, " + ("not in this room" if area_m2 is None else f"{area_m2:.1f} m²")
         known = self.asked["surfaces"]
         kept, covered = known.get(name, {}), {"is": name in known}
@@ -517,8 +507,7 @@ class TreatmentForm:
         free = field(kept, "free_m2", "Free m²", style=_FIELD, spoken=f"Free area of {name} in m²")
         free.set_enabled(covered["is"])
 
-    def draw_products(self) -> None:
-        """Draw a row for each product."""
+    def _draw_products(self) -> None:
         self.products.clear()
         with self.products:
             for name, product in self.asked["products"].items():
@@ -529,38 +518,35 @@ class TreatmentForm:
                     field(product, "cost_per_m2", "Cost per m²", style=_FIELD, spoken=spoken)
                     spoken = f"Piece of {name} in m²"
                     field(product, "piece_m2", "Piece, m²", style=_FIELD, spoken=spoken)
-                    quiet_button("Remove", partial(self.remove_product, name), f"Remove {name}")
+                    quiet_button("Remove", partial(self._remove_product, name), f"Remove {name}")
 
-    def add_product(self, name: str | None) -> None:
-        """Take an entry of the catalogue as a product."""
+    def _add_product(self, name: str | None) -> None:
         if name:
             self.asked["products"].setdefault(name, {"catalogue": name})
             self.catalogue.set_value(None)
-            self.draw_products()
+            self._draw_products()
 
-    def remove_product(self, name: str) -> None:
-        """Take a product out."""
+    def _remove_product(self, name: str) -> None:
         del self.asked["products"][name]
-        self.draw_products()
+        self._draw_products()
 
     def change_targets(self, remove: int | None = None, add: dict[str, Any] | None = None) -> None:
         """Take a target out, or another one in."""
         targets = self.asked["targets"]
         self.asked["targets"] = [t for i, t in enumerate(targets) if i != remove]
         self.asked["targets"] += [] if add is None else [add]
-        self.draw_targets()
+        self._draw_targets()
 
-    def draw_targets(self) -> None:
-        """Draw a row for each target."""
+    def _draw_targets(self) -> None:
         self.targets.clear()
         with self.targets:
             for number, target in enumerate(self.asked["targets"], start=1):
                 with ui.element("div").classes("bar").style("margin-bottom: 0.4rem"):
-                    self.draw_target(number, target)
+                    self._draw_target(number, target)
                     remove = partial(self.change_targets, number - 1)
                     quiet_button("Remove", remove, f"Remove target {number}")
 
-    def draw_target(self, number: int, target: dict[str, Any]) -> None:
+    def _draw_target(self, number: int, target: dict[str, Any]) -> None:
         """Draw what is to be reached; of a standard, or about a value, as text."""
         stated = [f"{key} {target[key]}" for key in _HIDDEN if key in target]
         if stated:
@@ -586,8 +572,7 @@ class TreatmentForm:
             then=lambda: target.update(mean_of_bands=mean["is"] or None),
         )
 
-    def show_answer(self, sentence: str) -> None:
-        """Show the sentence of the answer, its picture and its files, unless they are shown."""
+    def _show_answer(self, sentence: str) -> None:
         files = project.listed(self.bench.folder, project.TREATMENT)
         found = {f: escape(file_address(f)) for f in files}
         if not emptied(self.answer, (sentence, found)):
