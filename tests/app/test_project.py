@@ -192,28 +192,6 @@ def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> No
     assert sorted(p.name for p in box.iterdir()) == ["campaign.toml"]
 
 
-def test_a_fault_of_the_geometry_is_shown_where_it_is(tmp_path: Path) -> None:
-    faces = ["1 2 3 4", "5 8 7 6", "1 5 6 2", "2 6 7 3", "3 7 8 4"]  # the last wall is missing
-    corners = [
-        (0, 0, 0),
-        (0, 4, 0),
-        (5, 4, 0),
-        (5, 0, 0),
-        (0, 0, 3),
-        (0, 4, 3),
-        (5, 4, 3),
-        (5, 0, 3),
-    ]
-    text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
-    text += "".join(f"usemtl m{i}\nf {f}\n" for i, f in enumerate(faces))
-    (tmp_path / "open.obj").write_text(text)
-    project.set_room(tmp_path, file="open.obj", unit="m")
-    view = views.room_view(tmp_path)
-    assert not view["traceable"]
-    serious = [f for f in view["findings"] if f["severity"] == "serious"]
-    assert serious and any(f["about"].get("points_m") for f in serious)
-
-
 def test_an_error_of_a_finding_has_its_points_also_where_a_file_is_put_before_it() -> None:
     doubt = Finding(Code.POSITION_OUTSIDE, About(points_m=[(1.0, 2.0, 9.0)]), "Near (7, 7, 7) m.")
     with pytest.raises(InputError) as caught, located("campaign.toml"):

@@ -404,20 +404,6 @@ def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> N
     asyncio.run(whole())
 
 
-def test_a_finding_without_a_remedy_has_no_button(folder: Path) -> None:
-    view = views.recordings_view(folder)
-    doubt = {"code": "x", "severity": "warning", "sentence": "Doubt.", "about": {}}
-
-    async def whole() -> None:
-        tab, bench, client = tab_of(MeasurementsTab, folder)
-        await answer(bench, tab, {**view, "findings": [doubt]})
-        assert "Doubt." in shown(client) and "What the findings advise" not in shown(client)
-        await answer(bench, tab, {**view, "findings": [doubt], "advised": [ADVISED]})
-        assert button(client, 'Set positions = "fit"').enabled
-
-    asyncio.run(whole())
-
-
 # What was measured here.
 
 

@@ -336,13 +336,3 @@ def test_the_form_has_what_the_file_has_and_asks_what_is_typed(hall: Path) -> No
         assert "All of <it>." in [getattr(e, "text", "") for e in client.elements.values()]
 
     asyncio.run(whole())
-
-
-def test_what_the_form_takes_out_is_gone_and_comments_stay() -> None:
-    question = tomllib.loads(WRITTEN)
-    del question["probability"], question["products"]["own"], question["targets"][1]
-    question["products"]["felt"] = {"absorption": 0.5}
-    after = written_question(WRITTEN, question)
-    assert tomllib.loads(after) == question
-    assert "# of the client\n" in after and "[products.own]" not in after
-    assert tomllib.loads(written_question("", question)) == question
