@@ -7,14 +7,14 @@ nothing with the fit (`roomfit.demo.boxes`).
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from report_cases import answer_of, scene_of, texts_of
+from report_cases import texts_of
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
@@ -38,8 +38,6 @@ from roomfit.files.results import read_result, write_result
 from roomfit.files.rooms import read_room
 from roomfit.fit.directivity import (
     directivity_parameters,
-    omnidirectional,
-    with_fitted_sources,
 )
 from roomfit.fit.measurements import Measurements, collect_measurements
 from roomfit.fit.paths import TracedPaths
@@ -191,19 +189,6 @@ def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
         unknown_directivities(read_campaign(path), case.scene)
 
 
-def test_a_known_source_is_not_fitted(tmp_path: Path) -> None:
-    """Neither an omnidirectional one nor one specified exactly; only the first is tested."""
-    case = case_of(tmp_path, "", directional=False)
-    assert unknown_directivities(case.asked, case.scene) is None
-    suspects = omnidirectional(measured(case.asked, case.scene))
-    assert suspects is not None
-    assert suspects.sources == ("LS1",)
-    exact = "directivity = {aim = [1, 0.5, 0], b = 0.5}"
-    case = case_of(tmp_path, exact, directional=False)
-    assert unknown_directivities(case.asked, case.scene) is None
-    assert omnidirectional(measured(case.asked, case.scene)) is None
-
-
 @pytest.mark.slow
 def test_the_result_has_b_and_predicts_with_it(tmp_path: Path) -> None:
     """result.json holds b and its standard deviation by band; validated pairs have that source.
@@ -301,20 +286,6 @@ def _kept_apart(text: str) -> str:
     return text.replace('file = "MP4.wav"\n', 'file = "MP4.wav"\nuse = "validate"\n')
 
 
-def test_text_and_report_have_strength_and_axis() -> None:
-    """A vector of length 0.5 whose axis can be worked out in the head, and no axis at all."""
-    scene = scene_of()
-    answer = answer_of(scene, low=500, high=1000)
-    b = np.array([[0.0, 0.3, 0.4], [0.0, 0.0, 0.0]])
-    found = FittedDirectivity("S1", b, np.full((2, 3), 0.1))
-    answer = replace(answer, directivities=(found,))
-    (table,) = source_tables(answer)
-    assert table.caption.startswith("Directivity of S1")
-    assert texts_of(table)[0][1:] == ["0.50", "0.00"]
-    assert [row[1] for row in texts_of(table)[2:]] == ["+0.30", "+0.40"]
-    assert source_tables(answer_of(scene)) == ()
-
-
 def shared_campaign(folder: Path, speaker: str = "box") -> Path:
     """Write a campaign of two sources of one make, each with its own aim, |b| = 0.6 about it."""
     rng, truth = np.random.default_rng(12), box_truth()
@@ -367,28 +338,3 @@ def test_sources_of_one_make_share_a_pattern_about_their_aims(tmp_path: Path) ->
     assert isinstance(kept, Pattern)
     np.testing.assert_allclose(kept.b, found.b, rtol=1e-6)
     np.testing.assert_allclose(kept.aim, [0.6, -0.8, 0.0], atol=1e-9)
-
-
-def test_a_loudspeaker_that_is_not_defined_is_named(tmp_path: Path) -> None:
-    """The nearest defined one is suggested."""
-    with pytest.raises(InputError, match="not defined") as caught:
-        read_campaign(shared_campaign(tmp_path, "bx"))
-    assert "box" in str(caught.value)
-    assert "sources.LS1.directivity.loudspeaker" in str(caught.value)
-
-
-def test_sources_that_were_tested_are_fitted_beside_those_that_are_fitted_already():
-    tested = DirectivityParameters(
-        ("B", "D"), np.array([-1, 0, -1, 1]), np.ones((2, 3)), np.ones(2)
-    )
-    alone = with_fitted_sources(None, tested)
-    assert alone.sources == ("B", "D") and alone.of_source.tolist() == [-1, 0, -1, 1]
-    assert alone.aims == (None,) * 4
-    unknown = DirectivityParameters(
-        ("A", "X", "C"), np.array([0, -1, 2, -1]), np.zeros((3, 3)), np.zeros(3), tuple("aims")
-    )
-    found = with_fitted_sources(unknown, tested)
-    assert found.sources == ("A", "X", "C", "B", "D") and found.aims == tuple("aims")
-    assert found.of_source.tolist() == [0, 3, 2, 4]
-    np.testing.assert_array_equal(found.mean, [[0] * 3] * 3 + [[1] * 3] * 2)
-    np.testing.assert_array_equal(found.sd, [0, 0, 0, 1, 1])

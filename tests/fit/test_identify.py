@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from roomfit.base.findings import About, Code, Finding
-from roomfit.base.whole_files import json_text
-from roomfit.files.campaign import input_files, read_campaign
+from roomfit.base.findings import Code
+from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments, load_campaign
-from roomfit.files.results import result_content
 from roomfit.identify import identify
 from roomfit.result import Result
 from small_campaign import (
@@ -165,27 +162,3 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
         )
         assert (found.lower95[1], found.upper95[1]) == pytest.approx((low, high), abs=1e-5)
         assert found.upper95[0] - found.lower95[0] < 0.05
-
-
-def test_any_evidence_of_a_finding_can_be_written(tmp_path, plain):
-    """Numbers as numpy makes them, also such as JSON does not know."""
-    evidence = {"count": np.int64(3), "ratio": np.nan, "places": (np.array([1.0, 2.5]), "floor")}
-    doubted = replace(plain, findings=(Finding(Code.DC_OFFSET, About(), "A doubt.", evidence),))
-    text = json_text(result_content(doubted, ()))
-    (finding,) = json.loads(text)["findings"]
-    assert finding["evidence"] == {"count": 3, "ratio": "nan", "places": [[1.0, 2.5], "floor"]}
-
-
-def test_equal_names_in_two_folders_are_two_inputs(tmp_path, plain):
-    """Measurements are often called alike, a folder each."""
-    campaign = write_campaign(
-        tmp_path, ("LS1_MP1.wav", "first/ir.wav"), ("LS1_MP2.wav", "second/ir.wav")
-    )
-    for folder, name in (("first", "MP1"), ("second", "MP2")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / f"LS1_{name}.wav").rename(tmp_path / folder / "ir.wav")
-    read = read_campaign(campaign)
-    content = result_content(plain, input_files(read))
-    digests = content["provenance"]["inputs_sha256"]
-    assert set(digests) == {"campaign.toml", "first/ir.wav", "second/ir.wav"}
-    assert len(set(digests.values())) == 3

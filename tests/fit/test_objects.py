@@ -26,7 +26,6 @@ from roomfit.materials.priors import (
     object_prior,
 )
 from roomfit.model.binned import bin_paths, in_band, pair_energies
-from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import Block, Parameters, start_vector
 from roomfit.model.problem import Objective
 from roomfit.predict.changes import read_change
@@ -35,7 +34,6 @@ from roomfit.predict.question import Question
 from roomfit.pressures.data_term import coherent_term, with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.pressures.response import image_paths
-from roomfit.report.tables import area_tables
 from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (
@@ -186,20 +184,6 @@ def test_the_derivative_by_the_area_is_that_of_differences(number: int) -> None:
     np.testing.assert_allclose(found, difference, rtol=1e-5, atol=1e-6 * np.abs(found).max())
 
 
-def test_objects_add_no_random_phase() -> None:
-    """A path of no reflection stays coherent, however far it travels past people."""
-    _, pressures = objectives()
-    (term,) = pressures.terms
-    images = term.images
-    assert images.reflections is not None
-    direct = images.reflections[images.row] == 0
-    assert np.all(images.hits[images.row][direct, 3] > 0)
-    shaken = with_coherence(term, np.zeros((15, 15)), phase_sd=0.5).images.coherence
-    steady = with_coherence(term, np.zeros((15, 15))).images.coherence
-    np.testing.assert_array_equal(shaken[direct], steady[direct])
-    assert np.all(shaken[~direct & (steady > 0.0)] < steady[~direct & (steady > 0.0)])
-
-
 def test_an_unknown_area_is_found_beside_known_walls() -> None:
     """Of 12 m2 in 82 m3, simulated by other code: within its interval and, one seed, 30 %.
 
@@ -210,19 +194,6 @@ def test_an_unknown_area_is_found_beside_known_walls() -> None:
     assert np.all((found.lower95_m2 < AREA_M2) & (found.upper95_m2 > AREA_M2))
     np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.3)
     assert found.identifiable.all()
-
-
-def test_walls_stand_alone_in_the_table_and_objects_beside_them() -> None:
-    """In the result, absorption.csv, the terminal, and the report's areas."""
-    result = known_walls()
-    assert result.materials == tuple(TRUTH)
-    assert result.absorption.shape == result.lower95.shape == (6, 2)
-    assert "people" not in str(result.records())
-    line = next(row for row in str(result).splitlines() if row.startswith("people "))
-    assert f"{result.objects.area_m2[0, 0]:.3g}" in line
-    (table,) = area_tables(result, room_scene())
-    (row,) = [r for r in table.rows if getattr(r[0], "text", "") == "people"]
-    assert float(row[2].text) == pytest.approx(result.objects.area_m2[0, 0], abs=0.05)
 
 
 def test_a_result_file_keeps_objects_with_their_covariance(tmp_path) -> None:
@@ -348,13 +319,6 @@ def test_another_program_says_the_same_of_an_area() -> None:
         np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.3)
 
 
-def test_areas_and_shares_of_a_step_are_inverse() -> None:
-    """To a rounding, over what rooms hold."""
-    areas = np.array([0.0, 0.01, 1.0, 30.0, 500.0])
-    back = object_area_m2(object_absorption(areas, 200.0), 200.0)
-    np.testing.assert_allclose(back, areas, rtol=1e-9, atol=1e-12)
-
-
 def test_the_prior_of_an_area_has_the_mean_and_spread_that_were_stated() -> None:
     """Drawn from its law: mean within 10 and spread within 20 %, of which 3 are of 20,000 draws.
 
@@ -426,12 +390,6 @@ def test_what_cannot_be_meant_of_objects_is_refused(tmp_path, text, words) -> No
         chairs(tmp_path, text)
 
 
-def test_a_person_is_no_wall(tmp_path) -> None:
-    """The catalogue's areas of one piece are no coefficients of surfaces."""
-    with pytest.raises(InputError, match="no absorption coefficient"):
-        roomfit.material_prior("wall", BANDS, prior="person-seated")
-
-
 def test_an_object_of_which_nothing_is_stated_is_refused() -> None:
     """No broad prior fits what may be a chair or an audience; and an area is of one volume."""
     with pytest.raises(InputError, match="do not belong together"):
@@ -439,11 +397,3 @@ def test_an_object_of_which_nothing_is_stated_is_refused() -> None:
     other = object_prior("people", BANDS, 2.0 * VOLUME_M3, absorption_area_m2=1.0)
     with pytest.raises(InputError, match="do not belong together"):
         identify(room_scene(), measured(AREA_M2), [*walls_known(), other], BANDS, settings=FEW)
-
-
-def test_energies_alone_hold_objects_as_columns() -> None:
-    """The term of energies has one column more, of steps."""
-    (term,) = objectives()[0].terms
-    assert isinstance(term, EnergyTerm)
-    rows = term.rows[0]
-    assert rows.hits.shape[1] == 4 and rows.hits[:, 3].max() > 10

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +11,10 @@ import roomfit
 from roomfit.base.air import attenuation_per_m
 from roomfit.base.bands import bands_between
 from roomfit.fit.measurements import collect_measurements
-from roomfit.fit.scattering import band_factors
 from roomfit.fit.systematics import scattering_error
 from roomfit.materials.priors import Scattering, unknown_material
 from roomfit.model.binned import BinnedPaths, bin_paths, in_band
-from roomfit.model.observation import energy_terms, with_paths
+from roomfit.model.observation import energy_terms
 from roomfit.model.scattering import scattering_weights
 from roomfit.model.weighing import first_rows, reweighed_rows, weigh
 from roomfit.room.scene import scene_of, shoebox_room
@@ -73,64 +71,6 @@ def test_the_error_is_the_change_of_the_energies_with_the_coefficient():
     slope = (energies(step) - energies(-step)) / (2.0 * step) / energies(0.0)
     assert np.abs(slope).max() > 0.01
     np.testing.assert_allclose(error, slope, rtol=1e-4, atol=1e-6)
-
-
-def test_windows_made_for_one_trace_take_the_paths_of_another():
-    """Bit by bit what is made for the other from the start: a trial makes its windows once."""
-    found, start, made = measured(), np.array([0.2]), []
-    priors = tuple(unknown_material(n, 1) for n in NAMES)
-    settings = TraceSettings(duration_s=0.3, n_rays=500, image_order=2)
-    for s in (SAMPLED, 0.5 * SAMPLED):
-        scattering = Scattering(found.scene.room.materials, s)
-        paths = trace(found.scene, settings, scattering).paths
-        binned = bin_paths(found.scene, BANDS, paths, settings.duration_s)
-        ((term, _),) = energy_terms(found.scene, BANDS, priors, found.responses, binned, start)
-        made.append((term, binned))
-    (first, _), (second, others) = made
-    air = float(attenuation_per_m(found.scene.air, BANDS)[0])
-    moved = with_paths(replace(first, rows=()), others, air)
-    assert len(moved.rows) == len(second.rows) > 0
-    for own, expected in zip(moved.rows, second.rows, strict=True):
-        for name in ("offsets", "weight_per_m2", "hits", "length_m", "batch", "path"):
-            np.testing.assert_array_equal(getattr(own, name), getattr(expected, name))
-    assert [r.weight_per_m2.size for r in first.rows] != [r.weight_per_m2.size for r in moved.rows]
-    values = {"absorption": np.array([0.15, 0.4, 0.3]), "gain": np.ones(1)}
-    np.testing.assert_array_equal(moved.predict(values)[0], second.predict(values)[0])
-    assert moved.attenuation_per_m == second.attenuation_per_m == 0.0
-
-
-def test_nothing_is_weighed_where_walls_scatter_as_they_were_traced():
-    """No factor of every path and band is made and thrown away: its memory was the trace's peak."""
-    found, bands = measured(), bands_between("octave", 125, 4000)
-    scattering = Scattering(found.scene.room.materials, SAMPLED)
-    settings = TraceSettings(duration_s=0.3, n_rays=500, image_order=2)
-    paths = trace(found.scene, settings, scattering).paths
-    same = np.tile(SAMPLED[:, None], (1, len(bands)))
-    sizes = []
-    for wanted in (same, 0.5 * same):
-        tracemalloc.start()
-        try:
-            factors, _ = band_factors({}, found.scene, bands, paths, wanted)
-            sizes.append(tracemalloc.get_traced_memory()[1] / (8.0 * len(paths)))
-        finally:
-            tracemalloc.stop()
-    assert factors is not None and factors.shape == (len(bands), len(paths))
-    assert sizes[0] < 1.0 < len(bands) <= sizes[1]
-    assert band_factors({}, found.scene, bands, paths, same) == (None, ())
-
-
-def test_known_scattering_and_smooth_walls_have_no_error():
-    found = measured()
-    scattering = Scattering(found.scene.room.materials, np.zeros(3))
-    settings = TraceSettings(duration_s=0.2, n_rays=0, image_order=2)
-    paths = trace(found.scene, settings, scattering).paths
-    binned = bin_paths(found.scene, BANDS, paths, settings.duration_s)
-    priors = tuple(unknown_material(n, 1) for n in NAMES)
-    ((term, _),) = energy_terms(
-        found.scene, BANDS, priors, found.responses, binned, np.array([0.2])
-    )
-    for s, sd in ((SAMPLED, np.zeros(3)), (np.zeros(3), np.full(3, 0.1))):
-        assert not scattering_error(paths, term, SAMPLED, (s, sd)).any()
 
 
 def test_unspecified_scattering_widens_intervals_and_does_not_move_the_answer():

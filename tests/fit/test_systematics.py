@@ -7,27 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import SPEED_M_S, objective_of, small_scene, small_term, with_data
+from coherent_cases import objective_of, small_term
 from roomfit.base.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import FloatArray
-from roomfit.demo.boxes import SyntheticBox, pressure_response
 from roomfit.fit.systematics import (
     air_error,
     decay_error,
     decay_rate,
-    effect_on_answer,
-    shared_errors,
 )
 from roomfit.materials.priors import unknown_material
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import start_vector
-from roomfit.pressures.data_term import CoherentTerm, fully_coherent
-from roomfit.pressures.fit import lost_coherence
-from roomfit.pressures.sequential import CoherentBand
-from roomfit.signals.filters import frequency_response, window_energies
-from roomfit.signals.response import ImpulseResponse
+from roomfit.signals.filters import frequency_response
 from roomfit.solver import BandFit, score_band
 from roomfit.uncertainty.gaussian import (
     BandEstimate,
@@ -107,54 +100,6 @@ def test_the_error_of_the_air_covers_its_mean_over_a_band(kind: str) -> None:
         assert np.all(error <= 0.0)
         late = middle > 0.01
         assert np.all(-error[late] >= off[late]) and np.all(-error[late] <= 3.0 * off[late])
-
-
-def _band(term: CoherentTerm) -> tuple[CoherentBand, BandFit]:
-    """Return a band and a fit that ended at its start."""
-    problem = objective_of(term)
-    vector = start_vector(problem.parameters)
-    own = with_data(term, problem.predict(vector).expected)
-    fit = score_band(objective_of(own), vector, max_rounds=0)
-    return CoherentBand(objective_of(own.energies), fit, own), fit
-
-
-def test_nothing_is_lost_where_all_is_coherent() -> None:
-    """A band whose arrival times are known has no error of that kind."""
-    band, fit = _band(fully_coherent(small_term(CENTRE_HZ)))
-    np.testing.assert_allclose(lost_coherence(band, fit), 0.0, atol=1e-9)
-
-
-def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_energies() -> None:
-    """Against the pressures of an own list of images, filtered, in slots of 40 ms."""
-    scene = small_scene()
-    band, fit = _band(small_term(CENTRE_HZ))
-    octaves = bands_between("octave", 500, 2000)
-    walls = np.array([0.2, 0.2, 0.2, 0.2, 0.4, 0.1])
-    truth = SyntheticBox(
-        *((4.0, 3.1, 2.5), octaves.centres_hz, np.tile(walls[:, None], 3), np.zeros(3)), SPEED_M_S
-    )
-    own = Bands("octave", np.array([CENTRE_HZ]))
-    pressures, rate_hz = [], 24_000.0
-    for (_, r), observed in zip(scene.pairs, band.coherent.energies.observations, strict=True):
-        ends = scene.sources[0].position_m, scene.receivers[r].position_m
-        samples = pressure_response(truth, *ends, 0.1, rate_hz, np.zeros(3))
-        response = ImpulseResponse(samples, rate_hz)
-        pressures.append(window_energies(own, response, observed.edges_s)[0])
-    energy = fit.expected
-    # the gain at the start; a path's energy at 1 m is 1 / (4 pi), its pressure as well
-    whole = 2.0 * 4.0 * np.pi * np.concatenate(pressures)
-    middle = np.concatenate(
-        [0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in band.coherent.energies.observations]
-    )
-    for low, high in ((0.0, 0.04), (0.04, 0.08)):
-        slot = (middle >= low) & (middle < high)
-        weight = (energy / fit.variance)[slot]
-        share = weight @ (whole - energy)[slot] / (weight @ energy[slot])
-        reported = lost_coherence(band, fit)[slot]
-        assert np.ptp(reported) == 0.0
-        assert abs(reported[0] - share) < 0.01
-    # 24 % of the energy is missing there: it is not nothing that was compared
-    assert reported[0] < -0.2
 
 
 def _middles_s(term: EnergyTerm) -> FloatArray:
@@ -269,41 +214,3 @@ def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
     np.testing.assert_allclose(after.mean_costs[""], np.hypot(0.005, more / Z95))
     assert np.all(after.costs["noise"] < after.costs[""])
     np.testing.assert_array_equal(after.absorption, a)
-
-
-def test_what_returns_little_is_as_uncertain_as_what_absorbs_little() -> None:
-    """Absorption a and reflection 1 - a have mirrored intervals."""
-    areas, rate = np.ones(2), DecayRate(1e-9, 0.0, np.array([0.3, 0.2]))
-    a = np.array([0.03, 0.2])
-    (low,) = with_errors_of_all_bands([_answer(a, rate)], areas, {})
-    (high,) = with_errors_of_all_bands(
-        [_answer(1.0 - a, rate._replace(step=-rate.step))], areas, {}
-    )
-    np.testing.assert_allclose(low.upper95, 1.0 - high.lower95)
-    np.testing.assert_allclose(low.lower95, 1.0 - high.upper95)
-
-
-def test_what_is_fixed_stays_beside_a_rate_that_is_not() -> None:
-    """And an answer without windows stays as it is."""
-    rate = DecayRate(1e-9, 0.0, np.array([0.2, 0.3]))
-    fixed = _answer(np.array([0.1, 0.2]), rate)
-    fixed = replace(fixed, lower95=fixed.absorption, upper95=fixed.absorption)
-    without = replace(fixed, decay=None)
-    found = with_errors_of_all_bands([fixed, without], np.ones(2), {})
-    np.testing.assert_array_equal(found[0].upper95, fixed.upper95)
-    assert identifiable_by_rule(found[:1], _PRIORS).all()
-    assert found[1] is without
-
-
-def test_a_fit_keeps_the_rate_of_decay_apart_from_its_other_errors() -> None:
-    """Its information is that of rays, air and scattering; the rate waits for the other bands."""
-    term = energies()
-    problem, fit = objective_of(term), _converged(term)
-    shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
-    areas_m2 = np.ones(len(problem.parameters.blocks[0].labels))
-    found = effect_on_answer(problem, fit, shared, areas_m2)
-    without = {name: errors for name, errors in shared.items() if name != "decay"}
-    jacobian = problem.jacobian(fit.vector)
-    steps = answer_steps(problem, fit, jacobian, np.concatenate(list(without.values()), axis=1))
-    np.testing.assert_allclose(found.steps, steps)
-    assert found.decay.step.shape == fit.vector.shape

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -13,13 +12,11 @@ from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
 from roomfit.base.findings import Code
 from roomfit.demo.boxes import SyntheticBox, box_images
 from roomfit.fit.trace_plan import TracePlan, has_every_order, images_until_s, plan_trace, traced_s
-from roomfit.materials.priors import MaterialPrior, Scattering, uniform_scattering
+from roomfit.materials.priors import MaterialPrior
 from roomfit.room.scene import Scene, shoebox_room
 from roomfit.room.scene import scene_of as named_scene
 from roomfit.settings import Settings
-from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
-from roomfit.tracing.walls import ray_key
 
 LENGTHS_M = (5.7, 6.5, 2.7)
 SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 4.9, 1.6]
@@ -192,26 +189,6 @@ def test_small_rooms_keep_their_rays_and_large_ones_their_crossings() -> None:
         assert abs(radius_m - max(0.5, 0.09 * free_path_m)) < 1e-9
 
 
-def test_spheres_stay_clear_of_walls_and_the_radius_that_is_stated_is_used() -> None:
-    """Fewer crossings a ray mean more rays."""
-    lengths = (40.0, 25.0, 12.0)
-    free = values_plan(lengths, 1.5).settings
-    room = shoebox_room(lengths, "plaster")
-    near = named_scene(
-        room, {"S": (8.0, 8.0, 2.0)}, {"R": (20.0, 12.0, 0.8), "Q": (22.0, 9.0, 5.0)}
-    )
-    prior = MaterialPrior("plaster", np.zeros(1), np.ones(1), scattering=np.array([0.2]))
-    used = plan_trace(near, (prior,), 1.5, 0.0, Settings()).settings
-    assert 0.79 < used.receiver_radius_m <= 0.8 < free.receiver_radius_m
-    for one in (used, values_plan(lengths, 1.5, settings=Settings(receiver_radius_m=0.6)).settings):
-        ratio = one.n_rays * one.receiver_radius_m**2 / (free.n_rays * free.receiver_radius_m**2)
-        assert abs(ratio - 1.0) < 1e-3
-    stated = values_plan(
-        lengths, 1.5, settings=Settings(n_rays=700, receiver_radius_m=0.3)
-    ).settings
-    assert (stated.n_rays, stated.receiver_radius_m) == (700, 0.3)
-
-
 def test_bands_that_scatter_apart_are_traced_in_groups_with_more_rays() -> None:
     """A ray that is worth half to some band is sent twice; equal bands are one group."""
     lengths, octaves = (26.0, 16.0, 8.0), (0.1, 0.1, 0.15, 0.2, 0.4, 0.6)
@@ -237,50 +214,3 @@ def test_more_than_a_gigabyte_is_refused_with_the_error_that_remains() -> None:
     # what is stated is done
     asked = values_plan(lengths, 1.5, n_receivers=600, settings=Settings(n_rays=60_000))
     assert asked.settings.n_rays == 60_000 and not asked.findings
-
-
-def test_the_first_trace_takes_the_seed_of_the_settings() -> None:
-    """Two seeds lead to other directions and other walks, from the plan to the paths.
-
-    With one group of scattering coefficients and with two, and where a seed is far above 2^32.
-    """
-    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
-    alike = tuple(
-        MaterialPrior(name, np.zeros(2), np.ones(2), scattering=np.array([0.2, 0.2]))
-        for name in BOX_MATERIALS
-    )
-    apart = tuple(replace(p, scattering=np.array([0.05, 0.8])) for p in alike)
-    for priors in (alike, apart):
-        found = []
-        for seed in (1, 2, 2**62 + 1):
-            planned = plan_trace(scene, priors, 0.4, 0.0, Settings(seed=seed, n_rays=4000))
-            assert planned.settings.seed == seed
-            settings = replace(
-                planned.settings, duration_s=0.02, n_rays=400, image_order=0, image_until_s=None
-            )
-            paths = trace(scene, settings, planned.scattering).paths
-            found.append((paths.length_m, paths.departure))
-        for one, other in combinations(found, 2):
-            assert not np.array_equal(one[0], other[0])
-            # the same ray leaves in another direction
-            assert not np.isin(one[1], other[1]).all()
-        again = trace(scene, settings, planned.scattering).paths
-        np.testing.assert_array_equal(again.length_m, found[-1][0])
-
-
-def test_walks_after_the_start_depend_on_the_seed_and_on_the_group() -> None:
-    """On the same directions: a ray that scatters everywhere goes another way."""
-    keys = {ray_key(seed, source, 7) for seed in (1, 2, 3) for source in (0, 1)}
-    assert len(keys) == 6
-    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
-    settings = TraceSettings(0.2, n_rays=2000, image_order=0, directions="fibonacci")
-    one, other = (
-        trace(scene, replace(settings, seed=s), uniform_scattering(BOX_MATERIALS, 1.0)).paths
-        for s in (1, 2)
-    )
-    assert not np.array_equal(one.length_m, other.length_m)
-    # two groups of one coefficient are not the same rays twice
-    twice = Scattering(BOX_MATERIALS, np.full((2, len(BOX_MATERIALS)), 0.9))
-    paths = trace(scene, replace(settings, directions="sobol"), twice).paths
-    late = paths.length_m[paths.hits_diffuse.any(axis=1)]
-    assert np.unique(late).size > 0.99 * late.size

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import END_S, MATERIALS, energy_term, objective_of, small_scene, small_term
+from coherent_cases import END_S, MATERIALS, energy_term, objective_of, small_scene
 from rays_reference import tracing_variance
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
@@ -86,13 +86,3 @@ def test_columns_add_up_to_the_variance_of_every_window() -> None:
         np.testing.assert_allclose((columns**2).sum(axis=1), np.concatenate(expected), rtol=1e-9)
     assert np.any(np.abs(shared[:alone] @ shared[alone:].T) > 0.0)
     assert not np.any(apart[:alone] @ apart[alone:].T)
-
-
-def test_without_rays_nothing_is_widened() -> None:
-    """Image sources have no noise."""
-    term = small_term(CENTRE_HZ).energies
-    problem = objective_of(term)
-    fit = score_band(problem, start_vector(problem.parameters))
-    shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
-    areas_m2 = np.ones(len(problem.parameters.blocks[0].labels))
-    assert not effect_on_answer(problem, fit, shared, areas_m2).steps.any()

@@ -16,8 +16,6 @@ from roomfit.solver import (
     levenberg_marquardt,
     score_band,
 )
-from roomfit.uncertainty.gaussian import FittedBand, band_estimate
-from roomfit.uncertainty.intervals import Refinement
 
 
 def decay_residuals(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -74,27 +72,3 @@ class Counting(Linear):
     def predict(self, vector: FloatArray) -> Prediction:
         Counting.made += 1
         return super().predict(vector)
-
-
-def test_the_evaluations_of_a_band_are_all_that_were_made() -> None:
-    """Counted by the problem itself."""
-    case = linear_case(0)
-    problem = Counting(case.matrix, case.observed, case.sd, case.parameters)
-    Counting.made = 0
-    assert fit_band(problem).evaluations == Counting.made
-    Counting.made = 0
-    start = np.zeros(case.matrix.shape[1])
-    assert score_band(problem, start, max_rounds=36).evaluations == Counting.made
-
-
-def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> None:
-    """Counted by the problem itself, over a fit, one exchange of materials and its profiles."""
-    case = linear_case(3, n_geometry=0, n_data=6)
-    problem = Counting(0.2 * case.matrix, case.observed, case.sd, case.parameters)
-    Counting.made = 0
-    fit = fit_band(problem)
-    answer = band_estimate(problem.parameters, fit, "energy")
-    refine = Refinement(True, 1, exchanges=(np.array([1, 0, 2]),))
-    refined = refine(FittedBand(answer, problem, fit))
-    assert refined.n_profiles > 0
-    assert refined.evaluations == Counting.made > fit.evaluations

@@ -122,23 +122,6 @@ class Counting(Doubted):
         return np.asarray(expected**self.power / self.shape)
 
 
-def test_a_fit_costs_few_evaluations_and_one_at_its_end_costs_one() -> None:
-    """Six rooms: nine predictions a fit on average, as many variances as scoring has steps."""
-    made = 0
-    for seed in range(6):
-        problem = Counting(**vars(room(seed, 20.0)))
-        Counting.predictions = Counting.variances = 0
-        fit = fit_band(problem)
-        assert fit.evaluations == Counting.predictions
-        assert Counting.variances <= Counting.predictions
-        made += Counting.predictions
-        Counting.predictions = 0
-        again = score_band(problem, fit.vector)
-        assert again.evaluations == Counting.predictions == 1
-        np.testing.assert_array_equal(again.vector, fit.vector)
-    assert made <= 9 * 6
-
-
 def test_too_few_rounds_say_so_and_tell_where_the_last_step_began() -> None:
     """No step is taken, then one."""
     problem = room(0, 20.0)

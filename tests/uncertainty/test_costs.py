@@ -60,13 +60,6 @@ def test_each_term_left_out_is_the_information_of_the_others():
     assert list(found) == ["", "noise", "model", "air", "gain", "neighbours", "misfit", "prior"]
 
 
-def test_what_is_taken_for_known_is_no_unknown():
-    alone = sd_without_term(
-        JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3, np.zeros(2)
-    )[""][:-1]
-    np.testing.assert_allclose(costs()["gain"], [*alone, 0.0], rtol=1e-9)
-
-
 def test_no_part_of_a_variance_costs_less_than_nothing():
     """Independent errors: with less noise the weights are better and the answer is."""
     found = costs(shared={}, misfit=1.0)

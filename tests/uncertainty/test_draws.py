@@ -11,11 +11,9 @@ import roomfit
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
-from roomfit.model.patterns import Pattern
 from roomfit.uncertainty.gaussian import prior_absorptions, prior_only_band
 from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
-    antithetic_normals,
     covariance_from_intervals,
     plain_logit_covariance,
     prior_draws,
@@ -43,21 +41,6 @@ def arrays() -> dict[str, Any]:
         "fitted_jnd": np.array([[[1e6, np.nan]]]),
         "areas_m2": np.array([0.0, 10.0, 20.0]),
     }
-
-
-def test_a_posterior_keeps_copies_that_nobody_can_change() -> None:
-    """Of every array, whatever was given; mappings likewise."""
-    given = arrays()
-    kept = AbsorptionPosterior(("a", "b", "c"), BANDS, **given)
-    for name, values in given.items():
-        own = getattr(kept, name)
-        np.testing.assert_array_equal(own, values)
-        assert own is not values and not own.flags.writeable, name
-        assert not np.shares_memory(own, values), name
-    directed: dict[str, Any] = {"S": Pattern(np.zeros((2, 3)))}
-    kept = AbsorptionPosterior(("a", "b", "c"), BANDS, **given, directivities=directed)
-    directed.clear()
-    assert kept.directivities is not None and list(kept.directivities) == ["S"]
 
 
 @pytest.mark.parametrize(
@@ -90,24 +73,6 @@ def test_what_no_posterior_can_hold_is_refused_by_its_name(name, at, value, word
         AbsorptionPosterior(("a", "b", "c"), BANDS, **given)
 
 
-def test_directivities_of_other_bands_are_refused_and_what_is_open_is_unknown() -> None:
-    """One set of coefficients is for all bands; a variance of 0 with a width is of the unknown."""
-    given = arrays()
-    for b, is_right in ((np.zeros(3), True), (np.zeros((2, 3)), True), (np.zeros((3, 3)), False)):
-        own = {"S": Pattern(b)}
-        if is_right:
-            AbsorptionPosterior(("a", "b", "c"), BANDS, **given, directivities=own)
-            continue
-        with pytest.raises(InputError, match="directivity of S is of other bands") as caught:
-            AbsorptionPosterior(("a", "b", "c"), BANDS, **given, directivities=own)
-        assert "3 bands" in str(caught.value)
-    given["logit_covariance"][:, 0, 0] = 0.0
-    given["logit_covariance"][1, 2, 2] = 0.0
-    given["lower95"][0], given["upper95"][0] = A[0], A[0]
-    kept = AbsorptionPosterior(("a", "b", "c"), BANDS, **given)
-    np.testing.assert_array_equal(kept.is_unknown, [False, False, True])
-
-
 def test_the_covariance_of_a_bounded_absorption_is_that_of_finite_differences() -> None:
     """logit a by the logit of its share between bounds; without bounds nothing changes."""
     lower, upper = np.array([0.0, 0.1, 0.0]), np.array([1.0, 1.0, 0.7])
@@ -135,16 +100,6 @@ def test_intervals_give_the_mean_of_their_sides_and_open_ones_the_other_side() -
     assert found.shape == (1, 5, 5)
     sd = [0.5 * sum(sides), sides[1], sides[0], 1.5, 0.0]
     np.testing.assert_allclose(found[0], np.diag(np.square(sd)), rtol=1e-6, atol=1e-15)
-
-
-@pytest.mark.parametrize("n", [6, 7])
-def test_antithetic_draws_are_mirrored_halves(n):
-    """Of an odd number the last mirror image is left out."""
-    found = antithetic_normals(n, 3, np.random.default_rng(4))
-    assert found.shape == (n, 3)
-    half = (n + 1) // 2
-    np.testing.assert_array_equal(found[half:], -found[: n - half])
-    np.testing.assert_array_equal(found[:half], np.random.default_rng(4).standard_normal((half, 3)))
 
 
 def test_draws_of_a_prior_have_its_law_and_keep_what_is_fixed_or_tied():

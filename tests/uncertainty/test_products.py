@@ -10,7 +10,6 @@ import pytest
 from certified_cases import box_room
 from posterior_cases import Linear, Posynomial, gain_block
 from roomfit.base.bands import bands_between
-from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
 from roomfit.design.prior import information_from_priors
 from roomfit.materials.priors import (
@@ -22,14 +21,12 @@ from roomfit.materials.priors import (
 )
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters, prior_residuals, start_vector
-from roomfit.result import prior_intervals
 from roomfit.solver import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
     band_estimate,
     prior_absorptions,
-    prior_only_band,
 )
 from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
@@ -104,18 +101,6 @@ def test_the_answer_is_that_of_the_model_with_the_common_value_as_an_unknown():
     np.testing.assert_allclose(np.linalg.inv(fit.information), joint[1:, 1:], rtol=1e-8)
 
 
-def test_walls_that_deviate_hardly_have_the_answer_of_a_tie():
-    """A spread of 0.001 against posterior ones of 0.2: within 1e-5 of them, squared."""
-    data = linear_data(np.random.default_rng(4), 3)
-    near = fitted(with_prior(data, panels(product_sd=1e-3)))
-    tied = completed(wall("left"), replace(wall("right"), tied_to="left"), wall("floor"))
-    summed = replace(data, matrix=data.matrix[:, [0, 2]] + data.matrix[:, [1, 1]] * [1.0, 0.0])
-    equal = fitted(with_prior(summed, tied))
-    np.testing.assert_allclose(near.vector[[0, 1, 2]], equal.vector[[0, 0, 1]], atol=1e-3)
-    here, there = (np.linalg.inv(f.information) for f in (near, equal))
-    np.testing.assert_allclose(here, there[np.ix_([0, 0, 1], [0, 0, 1])], atol=2e-5)
-
-
 def test_walls_that_deviate_widely_have_the_answers_of_walls_by_themselves():
     """What they share, 0.05 of 5, is gone: a correlation of 1e-4; the spread is that of both."""
     data = linear_data(np.random.default_rng(5), 3)
@@ -139,50 +124,7 @@ def test_a_known_wall_tells_of_the_others_of_its_product():
     assert absorption_block(known, 0, 0.2).correlation is None
 
 
-def test_all_uses_see_one_law():
-    walls = (*panels(), replace(wall("door"), tied_to="right"))
-    mean, covariance = prior_logit_law(walls)
-    np.testing.assert_array_equal(covariance[:, 3], covariance[:, 1])
-    assert covariance[0, 3, 0] == 2.25
-    np.testing.assert_allclose(prior_logits(walls)[1, :, 0] ** 2, np.diag(covariance[0]))
-    middle, low, _ = prior_intervals(walls)
-    np.testing.assert_allclose(middle, expit(mean))
-    np.testing.assert_allclose(low[0], expit(MEAN - 1.959964 * np.sqrt(2.34)), rtol=1e-5)
-    alone = prior_only_band(walls, 0)
-    np.testing.assert_allclose(alone.logit_covariance, covariance[0])
-
-
 # What is refused.
-
-
-def test_a_product_of_one_wall_is_a_plain_prior():
-    (one,) = completed(wall("left", "panel"))
-    assert one.product is None
-    np.testing.assert_array_equal(prior_logits((one,))[1], 1.5)
-
-
-@pytest.mark.parametrize(
-    ("other", "words"),
-    [
-        (wall("right", "panel", mean=0.0), "different priors"),
-        (wall("right", "panel", sd=1.0), "different priors"),
-        (wall("right", "panel", product_sd=0.2), "different priors"),
-        (wall("right", "panel", upper=0.5), "different priors"),
-        (wall("right", "panel", specified=False), "different priors"),
-        (wall("right", "panel", known=[0.0, 0.2]), "at its bound"),
-    ],
-)
-def test_walls_of_one_product_state_one_prior(other, words):
-    with pytest.raises(InputError, match=words):
-        completed(wall("left", "panel"), other)
-
-
-def test_a_product_is_no_tie_and_has_a_spread():
-    with pytest.raises(InputError, match="tied material is of a product"):
-        wall("right", "panel", tied_to="left")
-    for sd in (0.0, -0.3, 6.0, float("nan")):
-        with pytest.raises(InputError, match="out of range"):
-            wall("right", "panel", product_sd=sd)
 
 
 # Draws, and what the data leave open.

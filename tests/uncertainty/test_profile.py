@@ -17,7 +17,6 @@ from posterior_cases import (
     absorption_block,
     decay_case,
     exchangeable_case,
-    gain_block,
     linear_case,
 )
 from roomfit.model.parameters import Parameters, prior_residuals
@@ -225,27 +224,3 @@ def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():
     (trial,) = refined.mirrors
     np.testing.assert_allclose(trial.absorption, answer.absorption[::-1], atol=0.02)
     assert abs(trial.gain) < 0.05
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_walls_that_are_hard_to_tell_apart_cost_few_evaluations(seed):
-    """Six walls that share every window's hits by chance: only their mean is well determined.
-
-    Others have to give back many times what a straight line in logits says. Ends within 15 % of the
-    rise, or 20 % where a Gaussian end was near enough; at most seven evaluations a wall, where
-    straight lines took ten.
-    """
-    rng = np.random.default_rng(seed)
-    hits = np.stack([rng.multinomial(k + 1, np.full(6, 1 / 6), 60) for k in range(40)])
-    weight = rng.uniform(0.5, 1.5, (40, 60))
-    truth = np.array([0.1, 0.15, 0.1, 0.3, 0.1, 0.2])
-    observed = (weight * np.exp(hits @ np.log1p(-truth))).sum(axis=1) * rng.gamma(30.0, 1 / 30, 40)
-    parameters = Parameters((absorption_block(6), gain_block()))
-    problem = Posynomial(weight, hits.astype(float), observed, 30.0, parameters)
-    fit = fitted(problem)
-    lines = [profile(problem, fit, entry) for entry in range(6)]
-    for entry, found in enumerate(lines):
-        for end in (found.lower, found.upper):
-            rise = refitted_rise(problem, fit, entry, end) / max(fit.chi2_reduced, 1.0)
-            assert abs(rise / RISE95 - 1.0) < 0.2, (entry, end)
-    assert sum(found.evaluations for found in lines) <= 7 * 6

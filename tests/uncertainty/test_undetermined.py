@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from report_cases import answer_of, scene_of
-from roomfit.base.whole_files import json_text
-from roomfit.files.results import result_content
-from roomfit.report.tables import share_tables
-from roomfit.report.wording import DASH
 from roomfit.uncertainty.combinations import (
-    Combination,
-    Determined,
     Difference,
     Undetermined,
     absorption_shares,
-    band_sentence,
     determined,
     find_combinations,
     information_directions,
@@ -82,53 +71,6 @@ def test_what_is_open_has_as_many_directions_as_the_data_lack(n, data):
     assert abs(sum(u.directions for u in found) - (n - k)) <= (0 if k == 0 else 1)
 
 
-def test_materials_of_which_nothing_is_known_are_named_in_one_sentence():
-    found = undetermined_groups(posterior([[0.0, 0.0, 1.0]], 3), 1.5**2 * np.eye(3))
-    assert found == (Undetermined((0,), 1, False), Undetermined((1,), 1, False))
-    assert band_sentence(NAMES, (), found) == "floor and ceiling are not in the data"
-
-
-def test_within_a_group_they_are_named_in_one_sentence_too():
-    whole = Combination(np.full(3, 1.0 / 3.0), 0.2, 0.18, 0.22, 0.01)
-    alone = [Undetermined((0,), 1, False), Undetermined((1,), 1, False)]
-    assert band_sentence(NAMES, (whole, whole), alone) == (
-        "floor, ceiling and walls together 0.20 +- 0.02; floor and ceiling are not in the data"
-    )
-
-
-@pytest.mark.parametrize(
-    ("row", "words"),
-    [
-        ([1.0, 1.0, 0.0], "the difference of floor and ceiling is not in the data"),
-        ([1.0, -1.0, 0.0], "the sum of floor and ceiling is not in the data"),
-        ([1.0, 1.0, 1.0], "of floor, ceiling and walls only one mean is in the data"),
-    ],
-)
-def test_what_is_open_is_said_as_what_it_is(row, words):
-    rows = [row] if row[2] else [row, [0.0, 0.0, 1.0]]
-    found = undetermined_groups(posterior(rows, 3), 1.5**2 * np.eye(3))
-    assert band_sentence(NAMES, (), found) == words
-
-
-@pytest.mark.parametrize(
-    ("directions", "against", "words"),
-    [
-        (2, True, "how it is shared among them is not in the data"),
-        (1, True, "of floor, ceiling and walls only 2 means are in the data"),
-        (2, False, "of floor, ceiling and walls only one mean is in the data"),
-    ],
-)
-def test_a_mean_of_three_with_two_directions_open_leaves_how_it_is_shared(
-    directions, against, words
-):
-    """Three shares of one sum are two numbers; with one of them open two means are known."""
-    whole = Combination(np.full(3, 1.0 / 3.0), 0.2, 0.18, 0.22, 0.01)
-    left_open = [Undetermined((0, 1, 2), directions, against)]
-    assert band_sentence(NAMES, (whole, whole), left_open) == (
-        f"floor, ceiling and walls together 0.20 +- 0.02; {words}"
-    )
-
-
 def test_held_and_tied_materials_open_nothing_by_themselves():
     """A tie is no exchange: two rows of one unknown are one direction of one material."""
     covariance = np.zeros((3, 3))
@@ -168,36 +110,6 @@ def test_a_share_is_known_where_only_the_ratio_is():
     np.testing.assert_allclose(low, value)
     np.testing.assert_allclose(high, value)
     assert absorption_shares(np.ones(1), np.zeros(1), np.zeros((5, 1)))[0] == 0.0
-
-
-def test_text_report_and_result_tell_shares_and_what_is_open():
-    scene = scene_of(NAMES)
-    answer = answer_of(scene, low=500, high=1000)
-    a, covariance, before = floor_and_ceiling()
-    group = find_combinations(
-        np.array([20.0, 20.0, 60.0]),
-        a,
-        covariance,
-        np.full(3, -1.7),
-        before,
-        np.random.default_rng(1),
-    )
-    sentence = "floor and ceiling together 0.31 +- 0.02; their difference is not in the data"
-    shares = np.array([np.full(3, x) for x in (0.3, 0.2, 0.4)])
-    known = Determined(group, "", shares), Determined(group, sentence, shares)
-    answer = replace(answer, determined=known)
-
-    assert sentence.replace("+-", "±") in " ".join(str(answer).split())
-    (table,) = share_tables(answer)
-    assert [(c.text, c.small) for c in table.rows[0][1:]] == [("30", (f"20{DASH}40",))] * 2
-    content = json.loads(json_text(result_content(answer, ())))
-    assert content["materials"]["floor"]["share_upper95"] == [0.4, 0.4]
-    reported = [c for c in content["combinations"] if c["band_hz"] == 1000.0]
-    assert reported[0]["sentence"] == sentence
-    assert reported[0]["kind"] == "mean"
-    assert reported[1]["determined"]
-    assert reported[1]["differences"][0]["weights"] == {"floor": -1.0, "ceiling": 1.0}
-    assert all(sum(c["weights"].values()) == pytest.approx(1.0, abs=1e-5) for c in reported)
 
 
 def test_a_difference_is_reported_the_larger_less_the_smaller():
