@@ -174,7 +174,7 @@ def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
     """The paper's searches, tables of values to be fitted along, and an aim without length."""
     specified = 'directivity = "fit"'
     for more, words in (
-        ('method = "simplex"\n', "least squares only"),
+        ('method = "simplex"\n', "least squares"),
         ('[[measurements]]\nparameters = "t.csv"\n', "impulse responses only"),
     ):
         case = case_of(tmp_path, specified, directional=False)

@@ -164,14 +164,11 @@ def with_fitted_sources(
     unknown: DirectivityParameters | None, tested: DirectivityParameters
 ) -> DirectivityParameters:
     """Return the sources whose directivity is fitted, joined by those that were tested."""
-    n_before = 0 if unknown is None else len(unknown.sources)
-    of_source = np.where(tested.of_source >= 0, tested.of_source + n_before, -1)
-    new = replace(tested, of_source=of_source)
     if unknown is None:
-        return replace(new, aims=(None,) * of_source.size)
+        return replace(tested, aims=(None,) * tested.of_source.size)
     return DirectivityParameters(
         (*unknown.sources, *tested.sources),
-        np.where(of_source >= 0, of_source, unknown.of_source),
+        np.where(tested.of_source >= 0, tested.of_source + len(unknown.sources), unknown.of_source),
         np.concatenate((unknown.mean, tested.mean)),
         np.concatenate((unknown.sd, tested.sd)),
         unknown.aims,
@@ -216,8 +213,7 @@ def cavity_priors(
                 information[other, other] += likelihood[0]
                 weighted_mean[other] += likelihood[1]
         covariance = np.linalg.inv(information)
-        mean = np.asarray((covariance @ weighted_mean)[own])
-        out.append((mean, np.asarray(covariance[own, own])))
+        out.append((np.asarray((covariance @ weighted_mean)[own]), np.array(covariance[own, own])))
     return out
 
 
@@ -323,20 +319,28 @@ def directivity_parameters(
     measurements: Measurements, settings: Settings
 ) -> DirectivityParameters | None:
     """Return the sources whose directivity is to be fitted, with its prior; None without any."""
-    unknown = [
-        (i, s.name, d)
-        for i, s in enumerate(measurements.scene.sources)
-        if isinstance(d := measurements.directivities.get(s.name), UnknownDirectivity)
-    ]
+    names = [s.name for s in measurements.scene.sources]
+    known = measurements.directivities
+    unknown = {
+        i: d for i, n in enumerate(names) if isinstance(d := known.get(n), UnknownDirectivity)
+    }
     if not unknown:
         return None
-    _check_fittable(measurements, settings, unknown[0][1])
-    n = len(measurements.scene.sources)
-    aims: list[FloatArray | None] = [None] * n
-    of_source = np.full(n, -1)
+    if not is_fittable(measurements, settings):
+        raise InputError(
+            "directivity is fitted by least squares, to impulse responses only",
+            where=f"sources.{names[next(iter(unknown))]}.directivity",
+            found=f"method = {settings.method!r}"
+            + (" and room parameters that are to be fitted" if measurements.values else ""),
+            needed='method = "auto" or "least-squares" and impulse responses alone, use = '
+            '"validate" for the tables; or a specified directivity',
+            hint="fit the directivity to the responses first, then specify it as {aim, b}",
+        )
+    aims: list[FloatArray | None] = [None] * len(names)
+    of_source = np.full(len(names), -1)
     first: dict[str, UnknownDirectivity] = {}  # of sources that share one, the first speaks
-    for i, name, directivity in unknown:
-        own = name if directivity.loudspeaker is None else directivity.loudspeaker
+    for i, directivity in unknown.items():
+        own = names[i] if directivity.loudspeaker is None else directivity.loudspeaker
         first.setdefault(own, directivity)
         of_source[i], aims[i] = list(first).index(own), directivity.aim
     mean = np.array([np.zeros(3) if d.mean is None else d.mean for d in first.values()])
@@ -346,35 +350,15 @@ def directivity_parameters(
 
 def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     """Return the sources that are taken for omnidirectional, to be tested; None without any."""
-    known = [s.name in measurements.directivities for s in measurements.scene.sources]
-    names = tuple(s.name for s, k in zip(measurements.scene.sources, known, strict=True) if not k)
+    known = np.array([s.name in measurements.directivities for s in measurements.scene.sources])
+    names = [s.name for s, k in zip(measurements.scene.sources, known, strict=True) if not k]
     if not names:
         return None
-    of_source = np.where(known, -1, np.cumsum(np.logical_not(known)) - 1)
+    of_source = np.where(known, -1, np.cumsum(~known) - 1)
     mean, sd = np.zeros((len(names), 3)), np.full(len(names), DEFAULT_B_SD)
-    return DirectivityParameters(names, of_source, mean, sd)
+    return DirectivityParameters(tuple(names), of_source, mean, sd)
 
 
 def is_fittable(measurements: Measurements, settings: Settings) -> bool:
     """Return whether directivities can be fitted: by least squares, to responses alone."""
     return settings.method in LEAST_SQUARES_METHODS and not measurements.values
-
-
-def _check_fittable(measurements: Measurements, settings: Settings, source: str) -> None:
-    where = f"sources.{source}.directivity"
-    if settings.method not in LEAST_SQUARES_METHODS:
-        raise InputError(
-            "directivity is fitted by least squares only",
-            where=where,
-            found=f"method = {settings.method!r}",
-            needed='method = "auto" or "least-squares", or a specified directivity',
-            hint="leave method out",
-        )
-    if measurements.values:
-        raise InputError(
-            "directivity is fitted to impulse responses only",
-            where=where,
-            found="room parameters that are to be fitted as well",
-            needed='impulse responses alone, or use = "validate" for the tables',
-            hint="fit the directivity to the responses first, then specify it as {aim, b}",
-        )

@@ -196,7 +196,15 @@ def on_one_clock(
     travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
     for m in measurements:
         check_sampling_rate(bands, m.response.sampling_rate_hz, m.where)
-        _check_same_rate(m, measurements[0])
+        if m.sampling_rate_hz != measurements[0].sampling_rate_hz:
+            first_hz = measurements[0].sampling_rate_hz
+            raise InputError(
+                "the measurements have different sampling rates",
+                where=m.where,
+                found=f"{m.sampling_rate_hz:g} Hz, after {first_hz:g} Hz in those before",
+                needed="one sampling rate in a campaign, since one equipment measured it",
+                hint="check that no file was saved at a wrong rate; resample those that were not",
+            )
         check_is_response(m.response, m.where)
     measured = []
     for m, pair, direct_s, response in zip(
@@ -223,18 +231,6 @@ def fit_ends_s(noise: NoiseEstimate, curve: DecayCurve, decay_range_db: float) -
     fallen = curve.energy_left <= curve.energy_left[:, :1] * 10.0 ** (-decay_range_db / 10.0)
     fallen_s = np.where(fallen.any(axis=1), curve.time_s[fallen.argmax(axis=1)], np.inf)
     return np.asarray(np.minimum(clear_s, fallen_s))
-
-
-def _check_same_rate(m: Measurement, first: Measurement) -> None:
-    if m.sampling_rate_hz == first.sampling_rate_hz:
-        return
-    raise InputError(
-        "the measurements have different sampling rates",
-        where=m.where,
-        found=f"{m.sampling_rate_hz:g} Hz, after {first.sampling_rate_hz:g} Hz in those before",
-        needed="one sampling rate in a campaign, since one equipment measured it",
-        hint="check that no file was saved at a wrong rate; resample those that were not",
-    )
 
 
 def from_emission(
@@ -273,23 +269,26 @@ def time_scales(measurements: Measurements) -> tuple[float, float]:
     What is kept for validation does not contribute, so that it cannot change the answer.
     """
     fitted = [m for m in measurements.responses if m.measurement.use == "fit"]
-    longest = 0.0
-    names: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
+    times_s = [0.0]
     for m in fitted:
-        for name in names:
-            known = _known(m.parameters.of(name))
-            if known.size:
-                longest = max(longest, float(known.max()))
-                break
+        of_response = (known(m.parameters.of(name)) for name in _SHORTER)
+        times_s += next((row for row in of_response if row), [])
     for v in measurements.values:
-        for row in (v.values.get("T30_s"), v.values.get("T20_s"), v.values.get("EDT_s")):
-            if row is not None and _known(row).size:
-                longest = max(longest, float(_known(row).max()))
+        for name in ("T30_s", *_SHORTER):
+            times_s += known(v.values.get(name, np.zeros(0)))
     # a decay that nothing could evaluate still ends where it drowns
-    latest = max((float(m.fit_end_s.max()) for m in fitted), default=0.0)
+    longest, latest = max(times_s), max((float(m.fit_end_s.max()) for m in fitted), default=0.0)
     if longest <= 0.0:
         return 0.0, latest if latest > 0.0 else 1.0
     return longest, min(latest, longest)
+
+
+_SHORTER: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
+
+
+def known(row: FloatArray) -> list[float]:
+    """Return the numbers of a row that are finite."""
+    return [float(x) for x in row if np.isfinite(x)]
 
 
 def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatArray:
@@ -301,12 +300,10 @@ def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatA
     names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
     for name in names:
         rows = [m.parameters.of(name) for m in measurements.responses if m.measurement.use == "fit"]
-        for v in measurements.values:
-            if name in v.values:
-                rows.append(_at(v.centres_hz, v.values[name], centres_hz))
+        rows += [v.at(name, centres_hz) for v in measurements.values if name in v.values]
         for band, values in enumerate(np.array(rows).reshape(-1, centres_hz.size).T):
-            if _known(values).size:
-                found[band] = np.median(_known(values))
+            if finite := known(values):
+                found[band] = np.median(finite)
     return found
 
 
@@ -315,37 +312,20 @@ def _joined(
 ) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
     """Return the values of one use; a pair that stands in several tables is joined."""
     by_pair: dict[tuple[str, str, str], list[MeasuredValues]] = {}
-    findings: list[Finding] = []
+    findings, joined = list[Finding](), []
     for m in tabulated:
         if m.use == use:
             findings += m.findings
-            by_pair.setdefault(m.pair_name, []).append(m)
-    joined = []
+            same = by_pair.setdefault(m.pair_name, [])
+            same.append(m if not same else _in_bands_of(m, same[0].centres_hz))
     for repeated in by_pair.values():
-        one, doubts = joined_values(tuple(_same_bands(repeated)))
+        one, doubts = joined_values(tuple(repeated))
         findings += doubts
         joined.append(one)
     return tuple(joined), tuple(findings)
 
 
-def _same_bands(repeated: Sequence[MeasuredValues]) -> list[MeasuredValues]:
-    """Return values of one pair on the bands of the first."""
-    centres = repeated[0].centres_hz
-    return [
-        replace(
-            m,
-            centres_hz=centres,
-            values={name: _at(m.centres_hz, row, centres) for name, row in m.values.items()},
-            spread={name: _at(m.centres_hz, row, centres) for name, row in m.spread.items()},
-        )
-        for m in repeated
-    ]
-
-
-def _at(centres_hz: FloatArray, row: FloatArray, wanted_hz: FloatArray) -> FloatArray:
-    known = dict(zip(centres_hz.tolist(), row.tolist(), strict=True))
-    return np.array([known.get(f, np.nan) for f in wanted_hz.tolist()])
-
-
-def _known(values: FloatArray) -> FloatArray:
-    return np.asarray(values[np.isfinite(values)])
+def _in_bands_of(m: MeasuredValues, centres_hz: FloatArray) -> MeasuredValues:
+    values = {name: m.at(name, centres_hz) for name in m.values}
+    spread = {name: m.spread_at(name, centres_hz) for name in m.spread}
+    return replace(m, centres_hz=centres_hz, values=values, spread=spread)

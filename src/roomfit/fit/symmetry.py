@@ -56,28 +56,38 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
     if room.states:
         parts, of_part = parts_of(room)
         found_of_parts = room_symmetries(parts, tolerance_m)
-        exchanges = [
-            _of_materials(s.exchange, of_part, len(room.materials)) for s in found_of_parts
-        ]
-        return tuple(
-            replace(s, exchange=e)
-            for s, e in zip(found_of_parts, exchanges, strict=True)
-            if e is not None
+        each = (
+            (s, _of_materials(s.exchange, of_part, len(room.materials))) for s in found_of_parts
         )
+        return tuple(replace(s, exchange=e) for s, e in each if e is not None)
     points, material = _surface_points(room, _SAMPLES)
     centre_m = _centroid_m(room)
     # isometries that differ for no point of the surface by more than twice the tolerance are one
     same = 2.0 * tolerance_m / float(np.linalg.norm(points - centre_m, axis=1).max())
-    found: list[Symmetry] = []
+    known, found = [np.eye(3)], list[Symmetry]()
+
+    def is_new(matrix: FloatArray) -> bool:
+        """Whether a matrix differs for a unit vector by more than a length from all known."""
+        return not any(np.linalg.norm(matrix - k, 2) <= same for k in known)
+
     for normal in _candidate_normals(room):
         matrix = np.eye(3) - 2.0 * np.outer(normal, normal)
-        if _is_among(matrix, found, same):
-            continue
         moved = centre_m + (points - centre_m) @ matrix.T
-        exchange = _exchange(room, material, moved, tolerance_m)
+        exchange = _exchange(room, material, moved, tolerance_m) if is_new(matrix) else None
         if exchange is not None:
             found.append(Symmetry(matrix, centre_m, exchange))
-    return _closed(found, same)
+            known.append(matrix)
+    group, grew = list(found), bool(found)
+    while grew and len(group) < _MAX_SYMMETRIES:  # until products are no longer new
+        grew = False
+        for one in found:
+            for other in list(group):
+                matrix = one.matrix @ other.matrix
+                if is_new(matrix):
+                    group.append(Symmetry(matrix, centre_m, one.exchange[other.exchange]))
+                    known.append(matrix)
+                    grew = True
+    return tuple(group)
 
 
 def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | None:
@@ -155,30 +165,29 @@ def _surface_points(room: Room, n: int) -> tuple[FloatArray, IntArray]:
 def _candidate_normals(room: Room) -> list[FloatArray]:
     vectors = area_vectors_m2(room.mesh)
     areas = np.linalg.norm(vectors, axis=1)
+    found: list[FloatArray] = []
+
+    def add(new: FloatArray) -> None:
+        """Append a direction unless it, or its opposite, is among them."""
+        known = np.array(found).reshape(-1, 3)
+        if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
+            found.append(new)
+
     order = np.argsort(-areas)
-    directions: list[FloatArray] = []
     for i in order[areas[order] > 0.0]:
-        _add(directions, vectors[i] / areas[i])
-        if len(directions) == _MAX_NORMALS:
+        add(vectors[i] / areas[i])
+        if len(found) == _MAX_NORMALS:
             break
-    found = list(directions)
-    for one, other in combinations(directions, 2):
+    for one, other in combinations(list(found), 2):
         for between in (one - other, one + other):
             length = float(np.linalg.norm(between))
             if length > _SAME_DIRECTION:
-                _add(found, between / length)
+                add(between / length)
     # last: the axes of a cube are any three, and some of these nearly a wall's direction
     spread = corners_m(room.mesh).mean(axis=1) - _centroid_m(room)
     for axis in np.linalg.eigh((spread.T * areas) @ spread)[1].T:
-        _add(found, axis)
+        add(axis)
     return found
-
-
-def _add(directions: list[FloatArray], new: FloatArray) -> None:
-    """Append a direction unless it, or its opposite, is among them."""
-    known = np.array(directions).reshape(-1, 3)
-    if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
-        directions.append(new)
 
 
 def _exchange(
@@ -198,32 +207,6 @@ def _exchange(
     if not np.all(whole) or np.unique(exchange).size < n:
         return None
     return np.asarray(exchange, dtype=np.int64)
-
-
-def _closed(found: list[Symmetry], same: float) -> tuple[Symmetry, ...]:
-    """Return the group that symmetries generate, without the identity."""
-    identity = np.eye(3)
-    group = list(found)
-    grew = True
-    while grew and len(group) < _MAX_SYMMETRIES:
-        grew = False
-        for one in found:
-            for other in list(group):
-                matrix = one.matrix @ other.matrix
-                if _is_near(matrix, identity, same) or _is_among(matrix, group, same):
-                    continue
-                group.append(Symmetry(matrix, one.centre_m, one.exchange[other.exchange]))
-                grew = True
-    return tuple(group)
-
-
-def _is_among(matrix: FloatArray, known: list[Symmetry], same: float) -> bool:
-    return any(_is_near(matrix, k.matrix, same) for k in known)
-
-
-def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
-    """Whether two matrices differ for no unit vector by more than a length."""
-    return bool(np.linalg.norm(one - other, 2) <= same)
 
 
 def mirror_symmetries(

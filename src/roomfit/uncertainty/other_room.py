@@ -68,18 +68,20 @@ def room_posterior(
     whose directivity is unknown and was not found has the mean of its prior, or is
     omnidirectional, with a finding.
     """
-    names = tuple(k.name for k in priors)
+    names, volumes_m3 = tuple(k.name for k in priors), object_volumes_m3(priors)
     _check_known(absorption, priors, replaced)
-    absorption = _in_volumes(absorption, object_volumes_m3(priors))
-    own = [names.index(n) for n in absorption.materials if n in names]
+    for name, own_m3 in volumes_m3.items():
+        absorption = _in_volume(absorption, name, own_m3)
     theirs = [i for i, n in enumerate(absorption.materials) if n in names]
+    own = [names.index(absorption.materials[i]) for i in theirs]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     shape = (len(names), len(bands))
     fixed = np.full(shape, 0.5)
     # what is only known after a change has no variance, and an interval of 0 to 1
     lowest, highest = np.zeros(shape), np.ones(shape)
-    for i in (i for i, k in enumerate(priors) if k.known is not None):
-        fixed[i] = lowest[i] = highest[i] = priors[i].known
+    for i, k in enumerate(priors):
+        if k.known is not None:
+            fixed[i] = lowest[i] = highest[i] = k.known
 
     def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         found = otherwise.copy()
@@ -93,12 +95,20 @@ def room_posterior(
             found[j][np.ix_(own, own)] = values[band][np.ix_(theirs, theirs)]
         return found
 
+    def in_bands(values: NDArray[Any] | None) -> NDArray[Any] | None:
+        return None if values is None else values[..., at]
+
     n, mean, sd = len(names), absorption.prior_logit_mean, absorption.prior_logit_sd
     has_prior = mean is not None and sd is not None
     before, draws = absorption.prior_logit_covariance, absorption.draws
-    if (specified := absorption.prior_specified) is not None:
-        stated = [specified[theirs[own.index(i)]] if i in own else True for i in range(n)]
-        specified = np.array(stated, dtype=np.bool_)
+    specified = None
+    if absorption.prior_specified is not None:
+        specified = np.ones(n, dtype=np.bool_)
+        specified[own] = absorption.prior_specified[theirs]
+    scattering = matched(absorption.scattering, np.full(shape, np.nan))
+    for i, k in enumerate(priors):  # specified where nothing was found or it is not to be fitted
+        if k.scattering is not None and (not k.fit_scattering or np.isnan(scattering[i]).any()):
+            scattering[i] = k.scattering
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
     return AbsorptionPosterior(
         names,
@@ -110,69 +120,57 @@ def room_posterior(
         matched(mean, np.zeros(shape)) if has_prior else None,
         matched(sd, np.ones(shape)) if has_prior else None,
         None if before is None else matched_covariance(before, np.eye(n)),
-        scattering=_scattering(priors, matched(absorption.scattering, np.full(shape, np.nan))),
+        scattering=scattering,
         directivities=sources,
         prior_specified=specified,
-        chi2_reduced=_in_bands(absorption.chi2_reduced, at),
-        by_pressures=_in_bands(absorption.by_pressures, at),
+        chi2_reduced=in_bands(absorption.chi2_reduced),
+        by_pressures=in_bands(absorption.by_pressures),
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
-        fitted_jnd=_in_bands(absorption.fitted_jnd, at),
+        fitted_jnd=in_bands(absorption.fitted_jnd),
         findings=findings,
         result_findings=absorption.result_findings,
-        objects=object_volumes_m3(priors),
+        objects=volumes_m3,
     )
 
 
-def _in_bands(values: NDArray[Any] | None, at: list[int]) -> NDArray[Any] | None:
-    """Return values of some bands, the last axis of theirs."""
-    return None if values is None else values[..., at]
-
-
-def _in_volumes(known: AbsorptionPosterior, volumes_m3: Mapping[str, float]) -> AbsorptionPosterior:
-    """Return the same areas of objects as their absorption in rooms of other volumes.
+def _in_volume(known: AbsorptionPosterior, name: str, own_m3: float) -> AbsorptionPosterior:
+    """Return the same area of an object as its absorption in a room of another volume.
 
     Logarithms of areas and of small absorptions differ by a constant: covariances stay.
     """
-    for name, own in volumes_m3.items():
-        before = known.objects.get(name)
-        if name in known.materials and before is None:
-            what = "an object has the name of a wall in the result"
-            needed = "an object of the result, or absorption_area_m2 in the campaign"
-            raise InputError(what, found=repr(name), needed=needed, hint="rename the object")
-        if before is None or before == own:
-            continue
-        at = known.materials.index(name)
+    before_m3 = known.objects.get(name)
+    if name in known.materials and before_m3 is None:
+        what = "an object has the name of a wall in the result"
+        needed = "an object of the result, or absorption_area_m2 in the campaign"
+        raise InputError(what, found=repr(name), needed=needed, hint="rename the object")
+    if before_m3 is None or before_m3 == own_m3:
+        return known
+    at, mean, volumes_m3 = known.materials.index(name), known.prior_logit_mean, (before_m3, own_m3)
 
-        mean = known.prior_logit_mean
-        if mean is not None:
-            mean = np.array(mean)
-            mean[at] += np.log(before / own)
-        known = replace(
-            known,
-            absorption=_in_volume(known.absorption, at, before, own),
-            lower95=_in_volume(known.lower95, at, before, own),
-            upper95=_in_volume(known.upper95, at, before, own),
-            draws=None if known.draws is None else _in_volume(known.draws, at, before, own),
-            prior_logit_mean=mean,
-        )
-    return known
+    def moved(values: FloatArray) -> FloatArray:
+        out = np.array(values)
+        area_m2 = object_area_m2(out[..., at, :], volumes_m3[0])
+        out[..., at, :] = object_absorption(area_m2, volumes_m3[1])
+        return out
 
-
-def _in_volume(values: FloatArray, at: int, before_m3: float, after_m3: float) -> FloatArray:
-    """Return (..., n_materials, n_bands) with one row as the same areas absorb in another room."""
-    out = np.array(values)
-    out[..., at, :] = object_absorption(object_area_m2(out[..., at, :], before_m3), after_m3)
-    return out
+    if mean is not None:
+        mean = np.array(mean)
+        mean[at] += np.log(before_m3 / own_m3)
+    return replace(
+        known,
+        absorption=moved(known.absorption),
+        lower95=moved(known.lower95),
+        upper95=moved(known.upper95),
+        draws=None if known.draws is None else moved(known.draws),
+        prior_logit_mean=mean,
+    )
 
 
 def _check_known(
     absorption: AbsorptionPosterior, priors: Sequence[MaterialPrior], replaced: Sequence[str]
 ) -> None:
-    missing = [
-        k.name
-        for k in priors
-        if k.name not in absorption.materials and k.known is None and k.name not in replaced
-    ]
+    known = {*absorption.materials, *replaced}
+    missing = [k.name for k in priors if k.name not in known and k.known is None]
     if missing:
         raise InputError(
             "the absorption of some of the room's materials is not known",
@@ -180,15 +178,6 @@ def _check_known(
             needed="the same names in both, or absorption = [...] in the campaign",
             hint=f"add absorption to [materials.{missing[0]}], or --set {missing[0]}=...",
         )
-
-
-def _scattering(priors: Sequence[MaterialPrior], found: FloatArray) -> FloatArray:
-    """Return what was found, or what is specified where nothing was or it is not to be fitted."""
-    scattering = found.copy()
-    for i, k in enumerate(priors):
-        if k.scattering is not None and (not k.fit_scattering or np.isnan(scattering[i]).any()):
-            scattering[i] = k.scattering
-    return scattering
 
 
 def _sources_as_found(
