@@ -146,6 +146,5 @@ def test_a_change_without_sign_or_size_that_nothing_but_a_prior_knows_is_not_det
     is_decay = name == "T30_s" and bool(said)
     lead = f"what the change does to it is not determined ({said})."
     assert (lead in text) == is_decay
-    assert (f"after the change: {said}" in page) == is_decay
     if said:
         assert said in cells

@@ -36,7 +36,7 @@ from roomfit.report.wording import (
     parameter,
     with_interval,
 )
-from roomfit.signals.decay import FIT_RANGES_DB, jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
 
@@ -103,30 +103,6 @@ class DecayAnswer:
             f"{what} is {now} ({label}), and {after} is expected after the change; whether it "
             f"{way} is not determined."
         )
-
-    @property
-    def numbers(self) -> list[tuple[str, str]]:
-        """The time as it is, the time after, and by how much it moves."""
-        where = f"{self.symbol} at {mid_words(self.bands.centres_hz)}"
-        shown: list[tuple[str, str]] = []
-        times = []
-        for series in filter(None, (self.before, self.after)):
-            value, low, high = series.mid_s(self.bands.centres_hz)
-            words = f"{where}, {series.label}"
-            if series is self.after and self.open_because:
-                return [*shown, ("not determined", f"{words}: {self.open_because}")]
-            if np.isfinite([low, high]).all():
-                words += f"; {number(low, 2)} to {number(high, 2)} s at 95 %"
-            shown.append((f"{number(value, 2)} s", words))
-            times.append(value)
-        if len(times) == 2:
-            before_s, after_s = times
-            steps = (after_s - before_s) / float(jnd_of("T30_s", np.array(before_s)))
-            words = f"{number(abs(steps), 1)} just noticeable differences"
-            words = words if self.is_changed else f"beside what was measured: {words}"
-            change = number(100.0 * (after_s / before_s - 1.0), 0, signed=True)
-            shown.append((f"{change} %", words))
-        return shown
 
     def drawing(self, limits: Sequence[tuple[Sequence[float], float, float]] = ()) -> Drawing:
         """Return the decay time over frequency, with limits where there are some."""
@@ -206,7 +182,7 @@ _OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "re
 
 
 def describe(predicted: Predicted) -> Blocks:
-    """Return the answer in a sentence and four numbers, findings, means, and every pair.
+    """Return the answer in a sentence and a few numbers, findings, means, and every pair.
 
     Of a change each parameter has what was measured before, the model before and after, what was
     measured carried over by the change, and the change, with their intervals.
@@ -223,7 +199,8 @@ def describe(predicted: Predicted) -> Blocks:
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
     head += [] if answer is None else [answer.drawing()]
-    head.append(Numbers(tuple(_numbers(predicted, [] if answer is None else answer.numbers))))
+    numbers = tuple(_numbers(predicted))
+    head += [Numbers(numbers)] if numbers else []
     if predicted.compares_states:
         title = "Means over the pairs before and after the change, one panel a parameter"
         maker = "prediction_figures.change_figure"
@@ -284,21 +261,20 @@ def _is_said(predicted: Predicted, code: Code, band_hz: float) -> bool:
     return any(f.code is code and f.about.in_band(band_hz) for f in predicted.findings)
 
 
-def _numbers(predicted: Predicted, shown: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return at most four numbers and what they are: those of the decay time first."""
+def _numbers(predicted: Predicted) -> Iterator[tuple[str, str]]:
+    """Yield what is predicted at mid frequencies beside the decay time."""
     named = named_values(predicted.mean, predicted.sti)
     centres = predicted.bands.centres_hz
     for key, label, form in SHOWN:
         v = named.get(key)
-        if len(shown) >= 4 or key not in ("C50_dB", "STI", "G_dB") or v is None:
+        if key not in ("C50_dB", "STI", "G_dB") or v is None:
             continue
         rows = (v.predicted, v.lower95, v.upper95)
         value, low, high = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
         if np.isfinite(value):
             where = "" if key == "STI" else f" at {mid_words(centres)}"
             words = f"{label}{where}, predicted; {form.format(low)} to {form.format(high)} at 95 %"
-            shown.append((form.format(value), words))
-    return shown
+            yield form.format(value), words
 
 
 def parameter_rows(

@@ -11,7 +11,6 @@ from roomfit.report.blocks import (
     Blocks,
     Findings,
     Listed,
-    Numbers,
     Part,
     Sentence,
     drawing,
@@ -29,14 +28,7 @@ if TYPE_CHECKING:
 
 def describe(treatment: Treatment) -> Blocks:
     """Return the first arrangement in a sentence, T30 before and after, and all arrangements."""
-    answer, first = _answer(treatment), treatment.arrangements[0]
-    wanted = "all targets" if len(first.probability) > 1 else "the target"
-    words = f"probability that a measurement meets {wanted}"
-    area_m2 = sum(h.area_m2 for h in first.hung)
-    numbers = [
-        (f"{area_m2:.4g} m²", f"hung, cost {first.cost:g}"),
-        (f"{_percent(treatment, first.joint)} %", words),
-    ]
+    answer = _answer(treatment)
     head: list[Block] = [Sentence(treatment_sentence(treatment), "lead")]
     if answer is not None:
         limits = [
@@ -45,16 +37,13 @@ def describe(treatment: Treatment) -> Blocks:
             if t.parameter == f"{answer.symbol}_s"
         ]
         head.append(answer.drawing(limits))
-        numbers += answer.numbers[:2]
     caption = (
         "The room from above one corner. Covered surfaces are coloured, the paler the less of "
         "them is covered; those that face away from the viewer are seen through."
     )
     maker = "prediction_figures.treatment_figure"
-    head += [
-        Numbers(tuple(numbers)),
-        drawing("treatment", "The room and what hangs where", caption, maker, treatment),
-    ]
+    title = "The room and what hangs where"
+    head.append(drawing("treatment", title, caption, maker, treatment))
     blocks: list[Block] = [Findings(treatment.findings)]
     for number, a in enumerate(treatment.arrangements, start=1):
         title = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
