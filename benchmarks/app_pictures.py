@@ -122,13 +122,13 @@ def _sheet(out: Path, names: list[str], columns: int, most: tuple[int, int], nam
 
 
 def _fill(folder: Path) -> None:
-    from roomfit.app import project, views
+    from roomfit.app import project, tasks
 
     folder.mkdir(parents=True, exist_ok=True)
-    views.demo(lambda _: None, folder)
+    tasks.demo(lambda _: None, folder)
     (folder / "treatment.toml").write_text(_TREATMENT)
     project.set_bands(folder, 125.0, 8000.0)
-    views.identify(lambda _: None, folder, False)
+    tasks.identify(lambda _: None, folder, False)
 
 
 def _show(page: Any, tab: str) -> None:

@@ -181,10 +181,10 @@ def trace_few_rays(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the demo project, of one source, few rays and without an answer; to be copied."""
-    from roomfit.app import views
+    from roomfit.app import tasks
 
     folder = tmp_path_factory.mktemp("demo")
-    views.demo(lambda _: None, folder)
+    tasks.demo(lambda _: None, folder)
     file = folder / "campaign.toml"
     other = r'(\[\[measurements\]\]\nsource = "LS2"|\[sources\.LS2\])\n.*\n.*\n'
     left, n_tables = re.subn(other, "", file.read_text())
@@ -197,13 +197,13 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def answered(demo: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """Run a project with a first answer in the octaves of speech, and a treatment file."""
-    from roomfit.app import project, views
+    from roomfit.app import project, tasks
 
     folder = tmp_path_factory.mktemp("answered") / "project"
     shutil.copytree(demo, folder)
     project.set_bands(folder, 125.0, 8000.0)
     (folder / "treatment.toml").write_text(TREATMENT)
-    views.identify(lambda _: None, folder, True)
+    tasks.identify(lambda _: None, folder, True)
     with running(folder) as server:
         yield server
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from roomfit.app import project, views
+from roomfit.app import project, tasks, views
 from roomfit.app.jobs import Bench, Worker
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding
@@ -352,13 +352,13 @@ def test_a_table_that_is_looked_at_says_what_where_found_needed_try(box: Path) -
 
 @pytest.mark.slow
 def test_the_demo_is_checked_recording_by_recording(tmp_path: Path) -> None:
-    views.demo(nothing, tmp_path)
+    tasks.demo(nothing, tmp_path)
     view = views.recordings_view(tmp_path)
     assert len(view["rows"]) == 8 and view["table"].count("LS1 to MP") == 4
     assert any("T20" in f["sentence"] for f in view["findings"])
     json.dumps(view, allow_nan=False)
     with pytest.raises(InputError):
-        views.demo(nothing, tmp_path)  # nothing is written over
+        tasks.demo(nothing, tmp_path)  # nothing is written over
 
 
 def test_exports_need_a_result_and_stay_in_the_project(box: Path) -> None:
@@ -393,7 +393,7 @@ def gone(pid: int) -> bool:
 
 @pytest.mark.slow
 def test_a_job_is_cancelled_within_two_seconds_and_the_next_one_begins(tmp_path: Path) -> None:
-    views.demo(nothing, tmp_path)
+    tasks.demo(nothing, tmp_path)
 
     async def whole() -> None:
         bench = Bench(tmp_path)
@@ -505,7 +505,7 @@ positions = "fixed"  # for now
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the demo project, measured by simulation; to be copied."""
     folder = tmp_path_factory.mktemp("measured")
-    views.demo(nothing, folder)
+    tasks.demo(nothing, folder)
     return folder
 
 
@@ -583,7 +583,7 @@ def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was
     write_json_atomically(file, {**head, "bands_hz": [1000.0], "materials": {"walls": own}})
 
     def codes() -> list[str]:
-        return [a["code"] for a in views.answer_view(tmp_path, "first")["advised"]]
+        return [a["code"] for a in tasks.answer_view(tmp_path, "first")["advised"]]
 
     assert codes() == [f["code"] for f in found]
     content = json.loads(file.read_text())

@@ -15,7 +15,7 @@ from nicegui import Client, ui
 from nicegui.page import page
 
 from roomfit.app import page as own_page
-from roomfit.app import project, views
+from roomfit.app import project, tasks, views
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
 from roomfit.app.measurements_tab import MeasurementsTab, MeasureTab
 from roomfit.app.room_tab import RoomTab
@@ -56,7 +56,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         return old, {**old, "made": 2.0}, "report.html?2"
     room = {"bands_hz": [1000.0], "limits": [], "pairs": [], "mean": {"T20_s": _value(0.5)}}
     room |= {"left_out": "", "findings": [], "directions": ""}
-    room["treatment"] = views.treatment_view(folder, [1000.0])
+    room["treatment"] = tasks.treatment_view(folder, [1000.0])
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"
 

@@ -16,7 +16,7 @@ pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 from nicegui import Client, ui
 from nicegui.page import page
 
-from roomfit.app import project, views
+from roomfit.app import project, tasks, views
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
 from roomfit.app.what_if import written_question
 from roomfit.app.what_if_tab import TreatmentForm, WhatIfTab
@@ -101,16 +101,16 @@ def test_what_cannot_be_asked_is_refused_and_the_file_stays(
     file.write_text(WRITTEN)
     question = tomllib.loads(WRITTEN) | change
     with pytest.raises(InputError, match=words):
-        views.ask_treatment(hall, question)
+        tasks.ask_treatment(hall, question)
     assert file.read_text() == WRITTEN and not list(hall.glob(".*"))
 
 
 def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -> None:
     """The mean with its interval, and the square metres; no position was asked for."""
-    views.reverberation(hall)
-    assert not views.answer_view(hall, project.MEAN)["stale"]
+    tasks.reverberation(hall)
+    assert not tasks.answer_view(hall, project.MEAN)["stale"]
     assert project.served_file(hall, "mean/reverberation.html").is_file()
-    asked = views.treatment_view(hall)
+    asked = tasks.treatment_view(hall)
     assert asked["bands_hz"] == [500.0, 1000.0, 2000.0] and asked["from_times"]
     assert asked["areas_m2"] == {"walls": 160.0, "floor": 96.0, "ceiling": 96.0}
     question = {
@@ -118,15 +118,15 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
         "products": {"mineral-wool-50-mm": {"catalogue": "mineral-wool-50-mm", "piece_m2": 0.72}},
         "targets": [{"parameter": "T30_s", "at_most": 0.8}],
     }
-    views.ask_treatment(hall, question)
+    tasks.ask_treatment(hall, question)
     assert read_treatment(hall / project.TREATMENT_QUESTION).surfaces["ceiling"].free_m2 == 70.0
-    said = views.treat(nothing, hall)
-    sentence = views.treatment_view(hall)["sentence"]
+    said = tasks.treat(nothing, hall)
+    sentence = tasks.treatment_view(hall)["sentence"]
     assert " m² mineral-wool-50-mm on ceiling: T30" in sentence
     assert said.split()[: len(sentence.split())] == sentence.split()
-    assert views.treatment_view(hall)["question"] == question
+    assert tasks.treatment_view(hall)["question"] == question
     project.set_room(hall, shoebox=(13.0, 8.0, 4.0))
-    assert views.answer_view(hall, project.MEAN)["stale"]
+    assert tasks.answer_view(hall, project.MEAN)["stale"]
 
 
 def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_path: Path) -> None:
@@ -135,12 +135,12 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
     from roomfit.predict.changes import read_change
 
     (tmp_path / "out").mkdir()
-    view = views.what_if_prepare(hall)
+    view = tasks.what_if_prepare(hall)
     assert view["bands_hz"] == [500.0, 1000.0, 2000.0] and set(view["mean"]) == {"T30_s"}
     assert view["pairs"] == [] and view["treatment"]["from_times"] and not view["left_out"]
     changes = ["walls=x2,x1,x1", "ceiling=mineral-wool-50-mm"]
     for texts in ([], changes):
-        own = views.what_if(hall, texts)
+        own = tasks.what_if(hall, texts)
         found, _ = predict_to_folder(
             project.campaign_file(hall), None, tmp_path / "out", [read_change(t) for t in texts],
             overwrite=True,
@@ -162,7 +162,7 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
     table = hall / "decay-times" / "pasted.csv"
     table.write_text(table.read_text().replace("1,3", "2,3").replace("1,4", "2,4"))
     os.utime(table, (1.0, 1.0))
-    again = views.what_if_prepare(hall)["mean"]["T30_s"]["predicted"]
+    again = tasks.what_if_prepare(hall)["mean"]["T30_s"]["predicted"]
     assert again[0] == pytest.approx(2.35)
 
 
@@ -170,9 +170,9 @@ def test_a_volume_and_a_surface_have_one_slider_and_nothing_to_cover(tmp_path: P
     (tmp_path / "t30.csv").write_text("place,500\nall,1.3\n")
     text = '[reverberation]\nfile = "t30.csv"\nvolume_m3 = 384\nsurface_m2 = 352\n'
     project.campaign_file(tmp_path).write_text(text)
-    view = views.what_if_prepare(tmp_path)
+    view = tasks.what_if_prepare(tmp_path)
     assert list(view["absorption"]) == ["room"] and view["treatment"] is None
-    after = views.what_if(tmp_path, ["room=x2"])["mean"]["T30_s"]
+    after = tasks.what_if(tmp_path, ["room=x2"])["mean"]["T30_s"]
     assert after["before"][0] == pytest.approx(1.3) and after["predicted"][0] < 0.7
 
 
@@ -187,7 +187,7 @@ def test_what_a_project_of_decay_times_offers_is_what_decay_times_give(hall: Pat
 
         async def ask(self, task: str, _: Any = None, own: Any = None, **more: Any) -> Any:
             more.pop("limit_s", None)
-            return views.carry_out(nothing, task, str(hall), own or more)
+            return tasks.carry_out(nothing, task, str(hall), own or more)
 
     async def whole() -> None:
         client = Client(page("/"))
@@ -225,10 +225,10 @@ def test_decay_times_without_a_room_and_a_file_that_is_none_are_told(tmp_path: P
     with pytest.raises(InputError, match="there is no room yet"):
         project.set_decay_times(tmp_path, "pasted.csv")
     with pytest.raises(InputError, match="no answer yet"):
-        views.treat(nothing, tmp_path)
+        tasks.treat(nothing, tmp_path)
     views.set_room(tmp_path, shoebox=[5.0, 4.0, 3.0])
     (tmp_path / project.TREATMENT_QUESTION).write_text("surfaces = 3")
-    view = views.treatment_view(tmp_path, [1000.0])
+    view = tasks.treatment_view(tmp_path, [1000.0])
     assert "treatment.toml" in view["fault"] and not view["from_times"]
 
 
@@ -237,28 +237,28 @@ def test_what_does_not_fit_the_room_is_said_in_the_form_where_it_is_put_right(
     tmp_path: Path,
 ) -> None:
     """A ceiling of 1000 m2; sliders and charts go on, and so does the search once it is mended."""
-    views.demo(nothing, tmp_path)
+    tasks.demo(nothing, tmp_path)
     file = project.campaign_file(tmp_path)
     few = "\n[settings]\nn_rays = 2000\nn_scattering_rays = 1000\n"
     file.write_text(file.read_text() + few)
     project.set_bands(tmp_path, 1000.0, 1000.0)
-    views.identify(nothing, tmp_path, True)
+    tasks.identify(nothing, tmp_path, True)
     question: dict[str, Any] = {
         "surfaces": {"brick": {"free_m2": 1000.0}},
         "products": {"mineral-wool-50-mm": {"catalogue": "mineral-wool-50-mm"}},
         "targets": [{"parameter": "T20_s", "at_most": 0.4}],
     }
-    views.ask_treatment(tmp_path, question)
-    room = views.what_if_prepare(tmp_path)
+    tasks.ask_treatment(tmp_path, question)
+    room = tasks.what_if_prepare(tmp_path)
     assert room["limits"] == [] and "more area is free" in room["treatment"]["fault"]
     assert room["treatment"]["areas_m2"]["brick"] == pytest.approx(4.7 * 2.8)
     del question["surfaces"]["brick"]["free_m2"]
-    views.ask_treatment(tmp_path, question)
-    room = views.what_if_prepare(tmp_path)
+    tasks.ask_treatment(tmp_path, question)
+    room = tasks.what_if_prepare(tmp_path)
     assert [x["value"] for x in room["limits"]] == [0.4] and not room["treatment"]["fault"]
     assert not room["treatment"]["from_times"]
-    views.treat(nothing, tmp_path)
-    view = views.treatment_view(tmp_path, [1000.0])
+    tasks.treat(nothing, tmp_path)
+    view = tasks.treatment_view(tmp_path, [1000.0])
     assert "m² mineral-wool-50-mm on brick" in view["sentence"]
 
 
@@ -278,7 +278,7 @@ class Bench:
 
 def test_the_form_has_what_the_file_has_and_asks_what_is_typed(hall: Path) -> None:
     (hall / project.TREATMENT_QUESTION).write_text(WRITTEN)
-    view = views.treatment_view(hall)
+    view = tasks.treatment_view(hall)
 
     async def whole() -> None:
         client, bench = Client(page("/")), Bench(hall)

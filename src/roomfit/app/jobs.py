@@ -54,7 +54,7 @@ class Worker:
         limit_s: float | None = None,
         progress: Callable[[float], None] = lambda _: None,
     ) -> Any:
-        """Return the answer of a task of `roomfit.app.views` about a project."""
+        """Return the answer of a task of `roomfit.app.tasks` about a project."""
         request = json.dumps({"task": task, "folder": str(folder), "arguments": arguments})
         async with self._turn:
             try:
@@ -192,7 +192,7 @@ class Bench:
         self._prepare()
 
     def add(self, label: str, task: str, **arguments: Any) -> Job:
-        """Put a task of `roomfit.app.views` into the queue, unless it waits there already."""
+        """Put a task of `roomfit.app.tasks` into the queue, unless it waits there already."""
         for job in self.jobs:
             at_work = job.state in ("waiting", "running")
             if at_work and (job.task, job.arguments) == (task, arguments):
@@ -267,7 +267,7 @@ def main() -> None:
     requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(requests,), name="requests", daemon=True).start()
 
-    from roomfit.app.views import carry_out  # after the limit, which the import needs not much of
+    from roomfit.app.tasks import carry_out  # after the limit, which the import needs not much of
     from roomfit.base.forks import end_with_parent
 
     end_with_parent()  # the thread that listens has no turn while compiled code runs

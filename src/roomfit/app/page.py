@@ -26,7 +26,7 @@ TABS: tuple[type[Tab], ...] = (
     WhatIfTab,
     ReportTab,
 )
-"""A new tab is a class in a module of its own, a name here, and its questions in `views.TASKS`."""
+"""A new tab is a class in a module of its own, a name here, and its questions in `tasks.TASKS`."""
 
 
 def build_page(bench: Bench) -> None:
