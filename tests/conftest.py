@@ -39,7 +39,6 @@ LONGEST = (
     "test_shape.py",
     "fit/test_displacement.py",
     "predict/test_known_change.py",
-    "report/test_html.py",
     "fit/test_states.py",
     "report/test_progress.py",
     "files/test_bad_input.py",

@@ -56,17 +56,6 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
     assert carpet.known is None
 
 
-def test_rays_follow_the_room_unless_a_campaign_states_them(tmp_path):
-    names = ("n_rays", "n_rays_beside_images", "receiver_radius_m")
-    for stated in ("", "[settings]\n" + "\n".join(f'{name} = "auto"' for name in names)):
-        settings = campaign_from(tmp_path, GOOD + stated).settings
-        assert [getattr(settings, name) for name in names] == [None, None, None]
-        assert settings.changed() == {}
-    stated = "[settings]\nn_rays = 500\nreceiver_radius_m = 0.3"
-    settings = campaign_from(tmp_path, GOOD + stated).settings
-    assert settings.changed() == {"n_rays": 500, "receiver_radius_m": 0.3}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -155,18 +144,6 @@ def test_a_prior_of_absorption_becomes_one_of_its_logit(tmp_path):
     # the slope of the logit at one half is 4
     np.testing.assert_allclose(carpet.prior_logit_sd, 0.2)
     assert carpet.specified
-
-
-@pytest.mark.parametrize(
-    ("bounds", "alpha"), [("[0.0, 1.0]", 0.15), ("[0.01, 0.99]", 0.15), ("[0.3, 0.9]", 0.6)]
-)
-def test_bounds_without_a_prior_keep_the_broad_one_where_it_fits_between_them(
-    tmp_path, bounds, alpha
-):
-    text = GOOD.replace("scattering = 0.2", f"bounds = {bounds}")
-    (carpet,) = material_priors(campaign_from(tmp_path, text), ("carpet",))
-    share = 1.0 / (1.0 + np.exp(-carpet.prior_logit_mean))
-    np.testing.assert_allclose(carpet.lower + (carpet.upper - carpet.lower) * share, alpha)
 
 
 @given(data=st.binary(max_size=300))
@@ -278,18 +255,6 @@ def test_a_project_is_read_as_the_report_takes_it(tmp_path):
     assert details(campaign_from(tmp_path, GOOD)) == {"language": "en"}
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [(b"<svg/>", "no picture"), (b"\x89PNG\r\n\x1a\n" + bytes(2**19), "logo"), (None, "logo")],
-)
-def test_a_logo_that_is_no_small_picture_is_refused(tmp_path, content, words):
-    if content is not None:
-        (tmp_path / "logo.png").write_bytes(content)
-    campaign = with_project(tmp_path, 'logo = "logo.png"')
-    with pytest.raises(InputError, match=words):
-        details(campaign)
-
-
 # What is said once: defaults of measurements, recordings by their names.
 
 
@@ -350,23 +315,6 @@ def test_recordings_of_unknown_names_are_reported_and_none_at_all_refused(tmp_pa
     with pytest.raises(InputError, match="LS_1_MP7") as caught:
         campaign_from(tmp_path, PATTERN)
     assert "receivers MP1, MP2" in str(caught.value.needed)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("{source}_{receiver}", "{source}", "without source or receiver"),
-        ("{source}_{receiver}.wav", "{source}/{receiver}.wav", "without source or receiver"),
-        ("latency_s = 0.0008", "latncy_s = 0.0008", "did you mean 'latency_s'"),
-        ("latency_s = 0.0008", "latency_s = 80", "cut the file beyond that"),
-        ("latency_s = 0.0008", 'file = "a.wav"', "unknown key"),
-    ],
-)
-def test_what_is_wrong_with_defaults_and_patterns_is_named(tmp_path, old, new, words):
-    (tmp_path / "LS_1_MP1.wav").touch()
-    with pytest.raises(InputError) as caught:
-        campaign_from(tmp_path, PATTERN.replace(old, new))
-    assert words in str(caught.value)
 
 
 # Absorption and priors at frequencies of their own, and bands of the command line.

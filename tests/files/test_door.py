@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.base import door
-from roomfit.base.door import LIMITS, limit, read_bytes, read_text
+from roomfit.base.door import LIMITS, limit, read_bytes
 from roomfit.base.errors import InputError
 from roomfit.base.table import Table, csv_of
 from roomfit.files.campaign import read_campaign
@@ -111,14 +110,6 @@ def test_the_table_on_the_page_is_that_of_the_code():
     page = (Path(__file__).parents[2] / "docs" / "campaign-file.md").read_text(encoding="utf-8")
     for name, (most, text) in LIMITS.items():
         assert f"| `{name}` | {most:,.0f} | {text} |" in page
-
-
-def test_utf_8_with_a_byte_order_mark_is_text(tmp_path):
-    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf[room]\nshoebox = [6, 5, 3]\n")
-    with pytest.raises(InputError, match="no measurement"):
-        read_campaign(tmp_path / "a.toml")
-    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf{}")
-    assert door.json_content(read_text(tmp_path / "a.json", "file"), "file") == {}
 
 
 def test_no_name_becomes_a_formula_or_a_statement(tmp_path):

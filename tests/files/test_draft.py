@@ -140,20 +140,6 @@ def test_materials_are_listed_with_area_surfaces_and_an_entry_by_their_names(tmp
     assert tomllib.loads(drafted)["materials"] == {"walls": {}, "Moquette": {}, "Akustikdecke": {}}
 
 
-@pytest.mark.parametrize(
-    ("template", "words"),
-    [
-        ("ir/{source}.wav", "a template of recordings without source or receiver"),
-        ("ir/{source}-{receiver}.wav", "LS1_MP1.wav, LS1_MP2.wav"),
-        ("elsewhere/{source}_{receiver}.wav", "no recordings"),
-    ],
-)
-def test_a_template_that_fits_nothing_says_what_is_there(folder, template, words):
-    with pytest.raises(InputError) as caught:
-        matching_files(folder, template)
-    assert words in str(caught.value)
-
-
 def test_a_name_is_split_where_both_parts_are_known(tmp_path):
     """Else at the first place: names of sources and receivers may hold what stands between."""
     for name in ("s000_150_M.wav", "S030_150_M_2.wav", "other_one_M.wav"):
@@ -247,30 +233,3 @@ def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch,
     said = capsys.readouterr().out
     assert "positions that no recording names: MP9" in said and "FILL" not in said
     assert blanks(tomllib.loads((folder / "campaign.toml").read_text())) == []
-
-
-def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
-    tmp_path, monkeypatch, capsys
-):
-    """Frequencies may be written with their unit, as in a report."""
-    monkeypatch.chdir(tmp_path)
-    box = ("--shoebox", "20", "14", "7")
-    (tmp_path / "T30.csv").write_text("Ort;500 Hz;1 kHz\nT30;1,5;1,4\n")
-    assert run_command(monkeypatch, "init", ".", *box) == 0
-    line = "perhaps: roomfit init . --shoebox 20 14 7 --decay-times T30.csv --overwrite\n"
-    assert line in capsys.readouterr().out
-    elsewhere = ("init", "hall", *box, "--decay-times")
-    assert run_command(monkeypatch, *elsewhere, "absent.csv") == 2
-    assert not (tmp_path / "hall").exists()
-    assert run_command(monkeypatch, *elsewhere, "T30.csv") == 0  # the folder is made
-    assert run_command(monkeypatch, "reverberation", "hall/campaign.toml") == 0
-    assert run_command(monkeypatch, "init", "measurd") == 2
-    assert "there is no such folder of recordings" in capsys.readouterr().err
-    own = ("init", ".", *box, "--decay-times", "T30.csv", "--overwrite")
-    assert run_command(monkeypatch, *own) == 0
-    assert "then: roomfit reverberation campaign.toml" in capsys.readouterr().out
-    assert run_command(monkeypatch, "reverberation", "campaign.toml") == 0
-    said = capsys.readouterr().out
-    assert "1 kHz" in said and "1.40" in said and "± 0.07" in said
-    assert run_command(monkeypatch, *own, "--recordings", "{source}_{receiver}.wav") == 2
-    assert "one or the other" in capsys.readouterr().err

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from report_cases import answer_of, finding, scene_of
+from report_cases import answer_of, scene_of
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
@@ -24,7 +23,6 @@ from roomfit.files.exports import (
     resample,
     short_names,
 )
-from roomfit.files.results import absorption_csv, read_materials
 from small_campaign import run_command
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -235,26 +233,6 @@ def test_a_result_that_cannot_be_exported_is_refused(tmp_path, text, words):
     assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "is empty"),
-        ("\n", "lacks columns"),
-        ("material,band_hz\nwall,125\n", "lacks columns"),
-        ("material,band_hz,absorption,lower95,upper95,identifiable\na,125,x,0,1,true\n", "number"),
-        (
-            "material,band_hz,absorption,lower95,upper95,identifiable\n"
-            "a,125,0.1,0,1,true\nb,250,0.1,0,1,true\n",
-            "not complete",
-        ),
-    ],
-)
-def test_a_table_that_cannot_be_exported_is_refused(tmp_path, text, words):
-    (tmp_path / "absorption.csv").write_text(text)
-    with pytest.raises(InputError, match=words):
-        read_materials(tmp_path / "absorption.csv")
-
-
 def with_parameters(folder: Path) -> Path:
     """Return a result with a pair, a fit and a finding whose sentence looks like a formula."""
     path = write_result(folder)
@@ -338,21 +316,3 @@ def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsy
     assert run_command(monkeypatch, "export", missing, "--format", "csv", "--out", "x") == 2
     assert "does not exist" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "walls.geo"]
-
-
-def test_a_result_in_memory_is_exported_as_its_file_is_and_survives_a_pickle(tmp_path):
-    """The same text either way; a finding's evidence, which is a view, comes through."""
-    doubt = finding("warning", "Look at the floor.")
-    answer = replace(answer_of(scene_of()), findings=(doubt,), scattering=None)
-    again = pickle.loads(pickle.dumps(answer))
-    assert again.findings[0].sentence == doubt.sentence
-    assert again.findings[0].evidence == doubt.evidence
-    np.testing.assert_array_equal(again.absorption, answer.absorption)
-    (tmp_path / "absorption.csv").write_text(absorption_csv(answer))
-    export_result(tmp_path / "absorption.csv", "isimpa", tmp_path / "file.txt")
-    export_result(again, "isimpa", tmp_path / "memory.txt")
-    assert (tmp_path / "memory.txt").read_text() == (tmp_path / "file.txt").read_text()
-    with pytest.raises(InputError, match="made from the files of a result"):
-        export_result(again, "pdf", tmp_path / "report.pdf")
-    assert len(repr(answer).splitlines()) <= 10
-    assert f"{int(answer.identifiable.sum())} of {answer.identifiable.size}" in repr(answer)

@@ -19,7 +19,6 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.candidates import Region, grid_positions
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments
-from roomfit.files.iso3382 import read_parameters
 from roomfit.impedance.campaign import impedance_arguments
 from small_campaign import write_campaign
 
@@ -202,13 +201,6 @@ def test_a_refused_number_is_reported_with_the_reason(folder, place, number, wor
     with pytest.raises(InputError) as refusal:
         read_campaign(written(folder, place, number))
     assert re.search(words, str(refusal.value)), refusal.value
-
-
-@pytest.mark.parametrize("text", ["1e300", "-1e300", "inf", "nan", "-1", "0"])
-def test_room_parameters_that_no_room_has_are_refused(folder: Path, text: str) -> None:
-    (folder / "iso.csv").write_text(f"source,receiver,parameter,500,1000\nLS1,MP1,T30,{text},0.8\n")
-    with pytest.raises(InputError, match=r"iso\.csv"):
-        read_parameters(folder / "iso.csv")
 
 
 @pytest.mark.parametrize(

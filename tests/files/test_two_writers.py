@@ -17,10 +17,8 @@ import pytest
 from roomfit.app import project
 from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.base.findings import Edit
-from roomfit.cli.init import draft_to_folder
 from roomfit.files import edits
 from roomfit.files.edits import sole_editor
-from roomfit.files.rooms.model import RoomSpec
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX")
 
@@ -164,13 +162,3 @@ def test_a_remedy_and_a_step_back_are_refused_where_another_has_written(box: Pat
     with pytest.raises(InputError, match="nothing can be undone"):
         while_held(file, text, lambda: edits.undo(file))
     assert file.read_text() == text
-
-
-@POSIX
-def test_a_first_campaign_does_not_replace_one_that_has_come_meanwhile(tmp_path: Path) -> None:
-    file = tmp_path / "campaign.toml"
-    (tmp_path / "S_R.wav").touch()
-    room = RoomSpec(shoebox=(5.0, 4.0, 3.0))
-    with pytest.raises(InputError, match="the file to write exists"):
-        while_held(file, "# of another\n", lambda: draft_to_folder(tmp_path, room))
-    assert file.read_text() == "# of another\n"
