@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("resource", reason="processor seconds of a child, as POSIX counts them")
 
 import _peer
-import peers
 from roomfit.base.air import Air
 from roomfit.base.errors import InputError
 from roomfit.room.scene import Point, Scene, shoebox_room
@@ -66,19 +65,6 @@ def test_each_wall_of_a_box_is_its_own_group_with_normals_into_the_room(tmp_path
         assert area == pytest.approx(math.prod(LENGTHS_M) / LENGTHS_M[axis], rel=1e-12)
 
 
-def test_a_scene_names_what_the_room_has(tmp_path):
-    content = json.loads(_peer.write_scene(scene(), np.arange(6) / 10, tmp_path).read_text())
-    assert content["geometry"] == {"file": "room.obj", "units": "m"}
-    assert content["assignments"] == {f"m{i}": f"m{i}" for i in range(1, 7)}
-    assert content["materials"]["m4"] == {"absorption": [0.15] * 8, "scattering": 0.3}
-    assert [s["position"] for s in content["sources"]] == [[1.0, 1.0, 1.5], [2.0, 1.0, 1.5]]
-    assert content["listeners"] == [{"name": "R1", "position": [4.0, 3.0, 1.25]}]
-    assert content["air"] == {"temperature_c": 18.0, "humidity_percent": 40.0, "pressure_kpa": 99.0}
-    assert "simulation" not in content
-    still = _peer.write_scene(scene(), np.zeros(6), tmp_path, diffraction=False).read_text()
-    assert json.loads(still)["simulation"] == {"early": {"diffraction": "none"}}
-
-
 def test_values_stand_in_eight_octaves_and_what_is_missing_is_null(tmp_path):
     measured = {"T30_s": [0.5, 0.6], "C80_dB": [9.0, np.nan], "D50_percent": [80.0, 81.0]}
     _peer.write_values([MeasuredValues("S1", "R1", [250, 500], measured)], tmp_path / "v.json")
@@ -103,13 +89,6 @@ def test_an_answer_is_read_by_material_and_octave_and_no_error_holds_nothing(tmp
     np.testing.assert_allclose(high, [[0.208, 1.0, 0.258], [0.406, 1.0, 0.456]], atol=1e-12)
 
 
-@pytest.mark.parametrize(("n_materials", "centre_hz"), [(3, 125.0), (2, 16000.0)])
-def test_an_answer_without_a_material_or_an_octave_is_refused(tmp_path, n_materials, centre_hz):
-    (tmp_path / "fit.json").write_text(json.dumps(answer()))
-    with pytest.raises(InputError, match="lacks a material or an octave"):
-        _peer.read_fit(tmp_path / "fit.json", n_materials, np.array([centre_hz]))
-
-
 def test_a_prediction_is_that_of_its_pair(tmp_path):
     rows = {"edt": [0.2] * 8, "t30": [0.3] * 7 + [None], "c80": [12.0] * 8}
     pairs = [
@@ -122,14 +101,6 @@ def test_a_prediction_is_that_of_its_pair(tmp_path):
     np.testing.assert_array_equal(found, [[0.3, np.nan], [0.2, 0.2], [12.0, 12.0]])
     with pytest.raises(InputError, match="lacks a pair"):
         _peer.read_predicted(tmp_path / "p.json", "S1", "R2", np.array([125.0]))
-
-
-def test_a_program_that_is_not_there_is_refused_with_what_to_do(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["peers.py", str(tmp_path / "none"), "--seeds", "1"])
-    assert peers.main() == 2
-    said = capsys.readouterr().err
-    assert said.startswith("the other program is not there\n")
-    assert str(tmp_path / "none") in said and "pip install acoustic-spaces" in said
 
 
 def test_a_program_that_fails_says_so_and_one_that_computes_is_charged_for_it(tmp_path):

@@ -137,7 +137,7 @@ def test_from_the_demo_project_to_the_downloaded_report(browser: Any, tmp_path: 
         page.get_by_role("button", name="Cancel").wait_for()
         visit.tab("Identify")
         page.get_by_text("Absorption: first answer").wait_for(timeout=_MINUTES_MS)
-        assert page.frame_locator("iframe").get_by_text("coefficients determined").count()
+        page.frame_locator("iframe").get_by_text("coefficients determined").first.wait_for()
         # what if
         visit.tab("What if")
         page.get_by_text("pairs, 0 materials changed").wait_for(timeout=_MINUTES_MS)

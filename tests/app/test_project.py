@@ -439,7 +439,6 @@ def test_what_a_hostile_file_does_ends_the_worker_and_not_its_owner(tmp_path: Pa
         with pytest.raises(InputError, match="has ended"):
             await worker.ask("ready", tmp_path, {})
         assert await worker.ask("ready", tmp_path, {}) == "ready"
-        assert worker.starts == 2
         with pytest.raises(InputError, match="took too long"):
             await worker.ask("room_view", tmp_path, {}, limit_s=0.001)
         assert await worker.ask("ready", tmp_path, {}) == "ready"
@@ -466,7 +465,6 @@ def test_a_folder_that_is_called_as_a_package_is_no_package_to_a_worker(
     async def whole() -> None:
         worker = Worker(4096)
         await worker.ask("room_view", tmp_path, {}, limit_s=60.0)
-        assert worker.starts == 1
         await worker.stop()
 
     asyncio.run(whole())

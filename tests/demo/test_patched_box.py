@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomfit.base.errors import InputError
 from roomfit.demo.boxes import WALLS, SyntheticBox, box_lattice, pressure_response
 from simulated_rooms.patched_box import Patch, patch_hits, patched_response
 
@@ -68,8 +67,3 @@ def test_hits_of_a_patch_are_those_of_a_ball_that_bounces_about(wall):
     expected = [bounced(steps[:, i], float(np.linalg.norm(steps[:, i])), patch) for i in chosen]
     assert found.sum() >= 10
     np.testing.assert_array_equal(found, expected)
-
-
-def test_a_patch_hangs_on_a_wall_there_is():
-    with pytest.raises(InputError, match="no such wall"):
-        Patch("door", (0.0, 0.0), (1.0, 2.0), np.ones(2))

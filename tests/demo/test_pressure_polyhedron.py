@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from images_reference import their_images
-from roomfit.base.errors import InputError
 from roomfit.demo.boxes import SyntheticBox, box_images, pressure_response
 from roomfit.files.campaign import read_campaign
 from roomfit.files.rooms import read_room
@@ -17,7 +16,6 @@ from roomfit.files.rooms.model import RoomSpec
 from roomfit.room.mesh import volume_m3
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.polyhedra import (
-    Cells,
     SyntheticPolyhedron,
     cell_arrays,
     cell_images,
@@ -27,7 +25,6 @@ from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
     cell_volume_m3,
     l_shaped_cells,
-    obj_text,
     paper_cells,
     room_of,
     slanted_cells,
@@ -127,35 +124,6 @@ def test_moved_planes_are_where_they_were_sent(name: str) -> None:
         np.testing.assert_allclose(heights, before.offset_m[f] + shift[f], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_the_written_room_is_read_back(name: str, tmp_path: Path) -> None:
-    """Volume, areas of materials and their names, by the reader of OBJ files."""
-    cells: Cells = ROOMS[name]
-    path = tmp_path / "room.obj"
-    path.write_text(obj_text(cells))
-    room, findings = read_room(RoomSpec(file=path, unit="m", up="z"))
-    assert not [f for f in findings if f.severity == "serious"]
-    assert volume_m3(room.mesh) == pytest.approx(cell_volume_m3(cells), rel=1e-7)
-    assert sorted(room.materials) == sorted(cells.materials)
-
-
-def test_a_campaign_is_written_and_read() -> None:
-    """Eight pairs, positions some millimetres off, absorption within its range."""
-    for shape in SHAPES:
-        plan = polyhedron_plan(shape, np.random.default_rng(3))
-        assert plan.absorption.shape == (len(plan.cells.materials), 8)
-        assert plan.absorption.min() >= 0.02
-        assert plan.absorption.max() <= 0.9
-        for place in (*plan.sources_m.values(), *plan.receivers_m.values()):
-            inside = cell_arrays(plan.cells)
-            walls = inside.material >= 0
-            if shape != "l-shaped":
-                heights = inside.normal[walls] @ np.array(place) - inside.offset_m[walls]
-                assert heights.max() < -0.6
-    with pytest.raises(InputError, match="no such room"):
-        polyhedron_plan("round", np.random.default_rng(3))  # type: ignore[arg-type]
-
-
 def test_the_files_hold_what_was_measured(tmp_path: Path) -> None:
     """The direct sound comes at the specified distance, up to the errors of the positions."""
     import soundfile
@@ -181,11 +149,3 @@ def test_the_files_hold_what_was_measured(tmp_path: Path) -> None:
             # six coordinates of 1 cm: 2.4 cm in all, 0.07 ms, and the pulse's own width
             first = np.flatnonzero(np.abs(pressure) > 0.2 * np.abs(pressure).max())[0] / rate
             assert abs(first - arrival) < 5e-4
-
-
-def test_planes_of_a_room_that_is_not_convex_are_not_specified_wrong(tmp_path: Path) -> None:
-    """Its corners have more than three faces."""
-    rng = np.random.default_rng(5)
-    plan = replace(polyhedron_plan("l-shaped", rng), duration_s=0.02)
-    with pytest.raises(InputError, match="convex room only"):
-        write_measured_polyhedron(plan, tmp_path, rng, plane_error_m=0.01)

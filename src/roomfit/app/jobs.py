@@ -43,7 +43,6 @@ class Worker:
         self._most_mib = most_mib
         self._process: asyncio.subprocess.Process | None = None
         self._turn = asyncio.Lock()
-        self.starts = 0
 
     async def ask(
         self,
@@ -99,7 +98,6 @@ class Worker:
     async def started(self) -> asyncio.subprocess.Process:
         """Return the process, a new one where there is none."""
         if self._process is None or self._process.returncode is not None:
-            self.starts += 1
             # no name of this machine's shell or its keys for what reads strangers' files
             environment = {k: v for k, v in os.environ.items() if "TOKEN" not in k}
             if threads := os.environ.get("ROOMFIT_THREADS"):

@@ -379,28 +379,24 @@ class WhatIfTab(Tab):
                 field(self.asked, "dry", "What to listen to", own, style="flex: 1 1 16rem")
                 quiet_button("Make the sounds of what is set above", self._make_sounds)
             if made.is_file():
-                markup(sounds_html(made.parent))
+                _show_sounds(made.parent)
 
 
-def sounds_html(folder: Path) -> str:
-    """Return what `roomfit listen` has written, before and after side by side."""
+def _show_sounds(folder: Path) -> None:
+    """Show what `roomfit listen` has written, before and after side by side."""
     content, _ = written_content(folder / "listen.json", "sounds")
-    rows = []
+    ui.label("; ".join(content["changes"])).classes("soft")
+    ui.label("At one volume, before and after: nothing is normalised by itself.").classes("soft")
     for own in content["responses"][:_MOST_ROWS]:
         for dry in ("dry_", "") if content["dry_factor"] else ("",):
             name = f"{own['source']} to {own['receiver']}, {'recording' if dry else 'response'}"
-            cells = [f'<th scope="row">{escape(name)}</th>']
-            for kind in ("before", "after"):
-                source = escape(file_address(folder / str(own["files"][f"{dry}{kind}"])))
-                player = f'<audio controls preload="none" src="{source}"'
-                cells.append(f'<td>{player} aria-label="{escape(name)} {kind}"></audio></td>')
-            rows.append(f"<tr>{''.join(cells)}</tr>")
-    heads = "".join(f'<th scope="col">{word}</th>' for word in ("Pair", "Before", "After"))
-    return (
-        f'<p class="soft">{escape("; ".join(content["changes"]))}</p><div class="scroll">'
-        '<table class="data"><caption>At one volume: nothing is normalised by itself</caption>'
-        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+            with ui.element("div").classes("bar"):
+                ui.label(name).style("min-width: 12rem")
+                for kind in ("before", "after"):
+                    source = escape(file_address(folder / str(own["files"][f"{dry}{kind}"])))
+                    spoken = escape(f"{name} {kind}")
+                    player = f'<audio controls preload="none" src="{source}"'
+                    markup(f'{player} aria-label="{spoken}"></audio>')
 
 
 class TreatmentForm:
