@@ -18,7 +18,7 @@ from roomfit.files.encoding import finding_of
 from roomfit.files.inputs import check_campaign, check_room
 from roomfit.files.remedies import advice, advised, changed_since, chosen
 from roomfit.files.rooms.model import RoomSpec
-from roomfit.report.blocks import Blocks, drawing
+from roomfit.report.blocks import Blocks, Drawing
 from roomfit.report.check import recordings_blocks, room_blocks
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
@@ -120,7 +120,7 @@ def check_campaign_recordings(
         from roomfit.report.figures import write_pictures
 
         of = measured_scene(scene, measurements)
-        picture = drawing("room", "The room", "", "room_figure.room_figure", of)
+        picture = Drawing("room", "The room", "", "room_figure.room_figure", (of,))
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_pictures(folder, Blocks("", (picture,), ()), png_too=png)
     return replace(checked, findings=(*checked.findings, *alike))

@@ -14,7 +14,7 @@ from roomfit.base.whole_files import sole_writer, whole_output_folder
 from roomfit.cli.identify import identify_to_folder
 from roomfit.cli.terminal import say
 from roomfit.demo.boxes import PLAN_BANDS, demo_plan, write_measured_box
-from roomfit.report.blocks import Blocks, Findings, Listed, drawing
+from roomfit.report.blocks import Blocks, Drawing, Findings, Listed
 from roomfit.report.figures import write_pictures
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
@@ -90,6 +90,6 @@ def run_demo(
         at = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
         true_absorption: FloatArray = plan.absorption[np.ix_(rows, at)]
         title, of = "Absorption that was found, and the true one", (answer, true_absorption)
-        picture = drawing("absorption_and_truth", title, "", "absorption_figure", *of)
+        picture = Drawing("absorption_and_truth", title, "", "absorption_figure", of)
         write_pictures(folder / "result", Blocks("", (picture,), ()), png_too=png)
     return answer, true_absorption

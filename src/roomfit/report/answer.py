@@ -21,7 +21,6 @@ from roomfit.report.blocks import (
     Part,
     Sentence,
     Terms,
-    drawing,
 )
 from roomfit.report.doubts import disagreement_table, remaining_usable
 from roomfit.report.html import page, translator
@@ -282,7 +281,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
     title = f"{symbol} over frequency, measured and predicted"
     series = Series(say("measured"), measured), Series(say("predicted"), predicted)
     of = answer.bands.centres_hz, series, symbol
-    return [drawing("decay_times", title, words, "decay_time_figure", *of)]
+    return [Drawing("decay_times", title, words, "decay_time_figure", of)]
 
 
 # ---------------------------------------------------------------- the parts
@@ -327,7 +326,7 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
 
 
 def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
-    return drawing(
+    return Drawing(
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
         f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
@@ -336,9 +335,7 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
         "identifiable, the number may come from the prior. Diamonds: given. "
         "Above each panel the area of the material, and in how many bands it is identifiable.",
         "absorption_figure",
-        answer,
-        None,
-        say,
+        (answer, None, say),
     )
 
 
@@ -389,14 +386,13 @@ def _decays(answer: Result) -> list[Block]:
         if _has_curves(p)
     ]
     shown: list[Block] = [
-        drawing(
+        Drawing(
             "decay",
             f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel "
             "a band; the tables below hold the parameters derived from them.",
             caption,
             "decay_figure",
-            answer,
-            *pairs,
+            (answer, *pairs),
             choices=tuple(map(tables.pair_title, pairs)),
             files=tuple(names[:_MOST_DECAY_FILES]),
             chosen=int(np.argmax(off)),
@@ -428,7 +424,7 @@ def _room(scene: Scene) -> tuple[Block, ...]:
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
-    picture = drawing("room", title, caption, "room_figure.room_figure", scene)
+    picture = Drawing("room", title, caption, "room_figure.room_figure", (scene,))
     return picture, tables.material_table(scene.room), tables.position_table(scene)
 
 

@@ -1,12 +1,12 @@
 """What an answer says, described once: a terminal, a page and a file each show what they can.
 
-An answer becomes `Blocks` in the module that knows it; `roomfit.report.text`, `.html` and `.word`
-render them and know no answer.
+An answer becomes `Blocks` in the module that knows it; `roomfit.report.text`, `.html` and
+`.documents` render them and know no answer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
@@ -53,12 +53,13 @@ class Listed:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure, drawn once and when it is first looked at."""
+    """A figure, drawn once and when it is first looked at: matplotlib is imported then."""
 
     name: str  # of its file, without ending
     title: str  # for those who do not see it
     caption: str
-    draw: Callable[[], Figure]
+    maker: str  # function of `roomfit.report.figures`, or of the module that it names
+    of: tuple[Any, ...]  # its arguments
     # of what is drawn over each other one is shown at a time, `chosen` first; names of files
     choices: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
@@ -67,28 +68,16 @@ class Drawing:
     @cached_property
     def figure(self) -> Figure:
         """Return the figure."""
-        return self.draw()
+        module, _, function = self.maker.rpartition(".")
+        found = import_module(f"roomfit.report.{module or 'figures'}")
+        figure: Figure = getattr(found, function)(*self.of)
+        return figure
 
     @cached_property
     def svg(self) -> str:
         """Return the SVG element."""
         key = self.name.replace("_", "-")
         return str(import_module("roomfit.report.figures").svg(self.figure, key, self.title))
-
-
-def drawing(name: str, title: str, caption: str, maker: str, *of: Any, **more: Any) -> Drawing:
-    """Return a drawing by a function of `roomfit.report.figures`, or of the module it names.
-
-    matplotlib is imported with the first figure.
-    """
-    module, _, function = maker.rpartition(".")
-
-    def draw() -> Figure:
-        found = import_module(f"roomfit.report.{module or 'figures'}")
-        figure: Figure = getattr(found, function)(*of)
-        return figure
-
-    return Drawing(name, title, caption, draw, **more)
 
 
 @dataclass(frozen=True, slots=True)

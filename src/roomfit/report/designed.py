@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.base.table import Column, Table
 from roomfit.design.output import chosen_positions, mean_widths, widest
-from roomfit.report.blocks import Blocks, Findings, Sentence, drawing
+from roomfit.report.blocks import Blocks, Drawing, Findings, Sentence
 from roomfit.room.scene import wall_materials
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ def describe(design: Design) -> Blocks:
     head = (
         Sentence(_opening(design), "lead"),
         _pairs_table(design),
-        drawing("design_map", title, "", "prediction_figures.design_map", design),
-        drawing("design_gain", gain, "", "prediction_figures.design_gain", design),
+        Drawing("design_map", title, "", "prediction_figures.design_map", (design,)),
+        Drawing("design_gain", gain, "", "prediction_figures.design_gain", (design,)),
         Sentence(_comparison(design)),
         _widths_table(design),
     )

@@ -22,7 +22,6 @@ from roomfit.report.blocks import (
     Numbers,
     Part,
     Sentence,
-    drawing,
 )
 from roomfit.report.wording import (
     MID_HZ,
@@ -113,7 +112,7 @@ class DecayAnswer:
             "stays within the pale box of a band."
         )
         title = "Decay times over frequency"
-        return drawing("decay_times", title, caption, "decay_time_figure", *of)
+        return Drawing("decay_times", title, caption, "decay_time_figure", of)
 
 
 def decay_answer(
@@ -204,7 +203,7 @@ def describe(predicted: Predicted) -> Blocks:
     if predicted.compares_states:
         title = "Means over the pairs before and after the change, one panel a parameter"
         maker = "prediction_figures.change_figure"
-        head.append(drawing("change", title, "Bars are 95 % intervals.", maker, predicted))
+        head.append(Drawing("change", title, "Bars are 95 % intervals.", maker, (predicted,)))
 
     def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
         rows = parameter_rows(named_values(values, None), is_changed=is_changed, open_for=open_for)
@@ -246,7 +245,7 @@ def pair_drawings(predicted: Predicted) -> Iterator[Drawing]:
     for i, pair in enumerate(predicted.pairs[:_MOST_PICTURES], start=1):
         name = f"predicted_{i:02d}_{in_file_name(pair.source, pair.receiver)}"
         maker = "prediction_figures.predicted_decay_figure"
-        yield drawing(name, "Energy decay curves", "", maker, predicted, pair)
+        yield Drawing(name, "Energy decay curves", "", maker, (predicted, pair))
 
 
 def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
@@ -254,7 +253,7 @@ def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
     sources = dict.fromkeys(pair.source for pair in predicted.pairs)
     for i, source in enumerate(sources, start=1):
         name, maker = f"grid_{i:02d}_{in_file_name(source)}", "prediction_figures.grid_figure"
-        yield drawing(name, "Maps", "", maker, predicted, scene, source)
+        yield Drawing(name, "Maps", "", maker, (predicted, scene, source))
 
 
 def _is_said(predicted: Predicted, code: Code, band_hz: float) -> bool:

@@ -77,14 +77,8 @@ def findings_text(
         first = same[0]
         more = f" (and {len(same) - 1} more of this kind{where})" if same[1:] else ""
         lines.append(filled(f"- {first.severity}: {first.sentence}{more} [{first.code}]", 2))
-        parts = zip(("where", "found", "needed", "try"), _parts(first), strict=True)
-        lines += [f"    {key:<7} {words}" for key, words in parts if words]
+        if (e := first.error) is not None:
+            parts = {"where": e.where, "found": e.found, "needed": e.needed, "try": e.hint}
+            lines += [f"    {key:<7} {words}" for key, words in parts.items() if words]
         lines += [f"    {line}" for line in (advice or {}).get(first.code, ())]
     return "\n".join(lines)
-
-
-def _parts(finding: Finding) -> tuple[str | None, ...]:
-    error = finding.error
-    if error is None:
-        return (None,) * 4
-    return error.where, error.found, error.needed, error.hint

@@ -6,15 +6,7 @@ from typing import TYPE_CHECKING
 
 from roomfit.base.table import Table
 from roomfit.predict.prediction import named_values
-from roomfit.report.blocks import (
-    Block,
-    Blocks,
-    Findings,
-    Listed,
-    Part,
-    Sentence,
-    drawing,
-)
+from roomfit.report.blocks import Block, Blocks, Drawing, Findings, Listed, Part, Sentence
 from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_rows
 from roomfit.report.wording import band_tables
 from roomfit.treat.arrangements import apart
@@ -43,7 +35,7 @@ def describe(treatment: Treatment) -> Blocks:
     )
     maker = "prediction_figures.treatment_figure"
     title = "The room and what hangs where"
-    head.append(drawing("treatment", title, caption, maker, treatment))
+    head.append(Drawing("treatment", title, caption, maker, (treatment,)))
     blocks: list[Block] = [Findings(treatment.findings)]
     for number, a in enumerate(treatment.arrangements, start=1):
         title = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
