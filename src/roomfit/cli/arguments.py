@@ -58,11 +58,6 @@ def call_error(
     )
 
 
-def command_parsers() -> dict[str, Parser]:
-    """Return the parser of every command by the command's name."""
-    return parsers()[1]
-
-
 def parsers() -> tuple[Parser, dict[str, Parser]]:
     """Return the parser of the program, and those of its commands by their names."""
     parser = Parser(

@@ -133,10 +133,15 @@ def _append(book: Any, parent: Any, pictures: Mapping[str, bytes]) -> None:
             continue
         if kind in _HEADINGS:
             book.add_heading(_text(node), _HEADINGS[kind])
-        elif kind == "summary":
-            _append_summary(book, node)
+        elif kind == "summary":  # the words that unfold a part: its heading, and what is behind
+            heading = next((h for h in node if h.tag in _HEADINGS), node)
+            book.add_heading(_text(heading), _HEADINGS.get(heading.tag, 3))
+            if heading is not node and _plain(heading.tail or ""):
+                book.add_paragraph(_plain(heading.tail))
         elif kind == "p":
-            _append_paragraphs(book, node)
+            style = "Subtitle" if node.get("class") == "lead" else None
+            for line in node.findall("span") if node.get("class") == "project" else [node]:
+                book.add_paragraph(_text(line), style=style)
         elif kind == "li":
             _append_item(book, node)
         elif kind == "dt":
@@ -153,25 +158,9 @@ def _append(book: Any, parent: Any, pictures: Mapping[str, bytes]) -> None:
             _append(book, node, pictures)
 
 
-def _append_summary(book: Any, node: Any) -> None:
-    """Write the words that unfold a part of the page: its heading, and what stands behind that."""
-    (heading, level) = next(((h, _HEADINGS[h.tag]) for h in node if h.tag in _HEADINGS), (node, 3))
-    book.add_heading(_text(heading), level)
-    if heading is not node and _plain(heading.tail or ""):
-        book.add_paragraph(_plain(heading.tail))
-
-
-def _append_paragraphs(book: Any, node: Any) -> None:
-    lines = node.findall("span") if node.get("class") == "project" else [node]
-    style = "Subtitle" if node.get("class") == "lead" else None
-    for line in lines:
-        book.add_paragraph(_text(line), style=style)
-
-
 def _append_item(book: Any, node: Any, style: str = "List Bullet") -> None:
     """Write an item of a list; those folded within it follow, one step further in."""
-    own = _plain("".join(_words(node, without="details")))
-    book.add_paragraph(own, style=style)
+    book.add_paragraph(_plain("".join(_words(node, without="details"))), style=style)
     for item in node.iterfind("details/ul/li"):
         _append_item(book, item, "List Bullet 2")
 
