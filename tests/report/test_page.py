@@ -176,15 +176,6 @@ def test_the_figure_of_absorption_draws_the_numbers_of_the_answer(case):
         np.testing.assert_allclose(bars, np.array([low, high]).T, rtol=1e-12)
 
 
-def test_hollow_points_are_those_that_are_not_identifiable(case):
-    answer = case[0]
-    for i, axes in enumerate(absorption_figure(answer).axes[: len(answer.materials)]):
-        hollow = [x for x in axes.lines if x.get_markerfacecolor() == "white"]
-        (line,) = [x for x in hollow if x.get_label() == "not identifiable"]
-        centres = answer.bands.centres_hz[~answer.identifiable[i]]
-        np.testing.assert_array_equal(line.get_xdata(), centres)
-
-
 def test_the_plan_and_the_side_views_show_where_everything_stands(case):
     scene = case[1]
     _, *views = room_figure(scene).axes
