@@ -28,6 +28,7 @@ from roomfit.checks.examine import (
     recorded,
 )
 from roomfit.checks.verdict import judge
+from roomfit.fit.bands import estimate_energies
 from roomfit.fit.displacement import (
     displaced,
     displacement_model,
@@ -38,7 +39,6 @@ from roomfit.fit.displacement import (
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
-from roomfit.fit.solve import estimate_energies
 from roomfit.fit.symmetry import mirror_symmetries
 from roomfit.materials.priors import (
     MaterialPrior,

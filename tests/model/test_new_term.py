@@ -15,7 +15,7 @@ from posterior_cases import absorption_block
 from roomfit.base.forks import count_evaluation
 from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray
-from roomfit.fit.solve import without_responses
+from roomfit.fit.bands import without_responses
 from roomfit.materials.priors import unknown_material
 from roomfit.model.parameters import Parameters, prior_residuals
 from roomfit.model.problem import DataTerm, Objective, Rows, Values

@@ -91,10 +91,7 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
 
 
 def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | None:
-    """Return where materials are carried if parts are; None where a material has two images.
-
-    Shapes: `of_part` (n_states, n_parts).
-    """
+    """Return where materials are carried if parts are; None where a material has two images."""
     carried = np.arange(n)
     carried[of_part] = of_part[:, exchange]
     is_one = np.array_equal(carried[of_part], of_part[:, exchange])

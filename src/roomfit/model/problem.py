@@ -40,7 +40,7 @@ class DataTerm(Protocol):
 
     Five methods are enough for a fit and its intervals; those after them have a default. A new kind
     of data touches four files: its term's own, `roomfit.fit.measurements`, which takes the
-    data, `roomfit.fit.solve`, which lays terms of a band together, and the reader in
+    data, `roomfit.fit.bands`, which lays terms of a band together, and the reader in
     `roomfit.files`.
     """
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray, Progress, part
-from roomfit.fit.bands import fitted_band
+from roomfit.fit.bands import fitted_band, other_terms
 from roomfit.fit.directivity import (
     band_directivities,
     directivity_parameters,
@@ -22,7 +22,6 @@ from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
 from roomfit.fit.scattering import band_factors
-from roomfit.fit.solve import other_terms
 from roomfit.fit.systematics import inflated_by_adjacent_bands
 from roomfit.fit.trace_plan import has_every_order, images_until_s, in_lattice, traced_s
 from roomfit.materials.priors import MaterialPrior, Scattering
