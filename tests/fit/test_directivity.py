@@ -23,8 +23,6 @@ from roomfit.cli.identify import identify_to_folder
 from roomfit.demo.boxes import (
     SyntheticBox,
     add_noise,
-    box_departures,
-    box_images,
     pressure_response,
 )
 from roomfit.files.campaign import Campaign, read_campaign
@@ -151,25 +149,6 @@ def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
     return Case(asked, scene, trace_images(scene, 1000, END_S, still))
 
 
-def test_the_simulated_source_directs_its_images_one_by_one() -> None:
-    """The direct sound, and one reflection from each of six walls, traced by hand."""
-    truth = box_truth()
-    source, receiver = np.array(SOURCE_M), np.array(POSITIONS_M["MP1"])
-    lengths, hits = box_images(truth, source, receiver, 0.03)
-    away = box_departures(truth, source, receiver, 0.03)
-    direct = int(np.argmin(lengths))
-    np.testing.assert_allclose(away[direct] * lengths[direct], receiver - source, atol=1e-12)
-    once = np.flatnonzero(hits.sum(axis=1) == 1)
-    assert once.size == 6
-    for i in once:
-        wall = int(np.argmax(hits[i]))
-        # towards the receiver's image in that wall
-        mirrored = receiver.copy()
-        axis = wall // 2
-        mirrored[axis] = 2.0 * LENGTHS_M[axis] * (wall % 2) - receiver[axis]
-        np.testing.assert_allclose(away[i] * lengths[i], mirrored - source, atol=1e-12)
-
-
 def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
     """The paper's searches, tables of values to be fitted along, and an aim without length."""
     specified = 'directivity = "fit"'
@@ -235,25 +214,6 @@ def in_the_room(campaign: Campaign, found: AbsorptionPosterior) -> AbsorptionPos
     """Return what a result says of the materials and sources of a campaign in the same room."""
     priors = material_priors(campaign, found.materials, None, found.bands)
     return room_posterior(found, priors, found.bands, source_directivities(campaign, found.bands))
-
-
-def test_a_prediction_without_the_fit_takes_what_was_specified_before_it(tmp_path: Path) -> None:
-    """The given mean where there is one; omnidirectional, with a finding, where there is none."""
-    bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((3, 2), 0.5)
-    alone = AbsorptionPosterior(
-        ("walls", "carpet", "tiles"), bands, half, half, half, np.zeros((2, 3, 3))
-    )
-    specified = "directivity = {aim = [0, 0, 2], b = 0.5, b_sd = 0.1}"
-    asked = read_campaign(campaign(tmp_path, specified, directional=False))
-    known = in_the_room(asked, alone)
-    predicted = known.directivities["LS1"]
-    assert isinstance(predicted, Pattern)
-    np.testing.assert_allclose(predicted.b, [[0.0, 0.0, 0.5]] * 2)
-    assert not known.findings
-    asked = read_campaign(campaign(tmp_path, 'directivity = "fit"', directional=False))
-    known = in_the_room(asked, alone)
-    assert "LS1" not in known.directivities
-    assert [f.code for f in known.findings] == [Code.DIRECTIVITY_NOT_KNOWN]
 
 
 def test_a_further_source_of_a_fitted_loudspeaker_radiates_as_that_was_found_to() -> None:

@@ -10,7 +10,6 @@ import pytest
 
 import roomfit
 from boxes_in_space import box_with_doors
-from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.demo.boxes import (
     SAMPLING_RATE_HZ,
@@ -20,8 +19,6 @@ from roomfit.demo.boxes import (
     pressure_response,
     true_box,
 )
-from roomfit.files.campaign import read_campaign
-from roomfit.files.inputs import identify_arguments
 from roomfit.fit.displacement import (
     LENGTH_SD_M,
     displaced,
@@ -31,7 +28,6 @@ from roomfit.materials.priors import unknown_material
 from roomfit.room.scene import PointGroup, Room, Scene
 from simulated_rooms.random_boxes import random_plan
 from simulated_rooms.scattering_box import diffuse_echogram, modulated_noise, specular_box
-from small_campaign import write_campaign
 
 BANDS = roomfit.bands_between("octave", 1000, 2000)
 DURATION_S, SCATTERING = 0.4, 0.1
@@ -143,38 +139,3 @@ def test_offsets_move_positions_and_the_far_wall():
     lengths_m = np.array(moved.room.shoebox_m) - np.array(scene.room.shoebox_m)
     assert lengths_m == pytest.approx([0.0, -0.2, 0.0])
     assert moved.room.mesh.vertices_m.max(axis=0) == pytest.approx(moved.room.shoebox_m)
-
-
-def test_groups_and_lengths_of_a_campaign_reach_the_scene(tmp_path):
-    text = '[groups.array]\nmembers = ["LS1", "MP*"]\nsd = [0.1, 0.03, 0.0]\n[sources.LS1]'
-    file = write_campaign(
-        tmp_path,
-        ("[sources.LS1]", text),
-        ("shoebox = [3.9, 3.1, 2.5]", "shoebox = [3.9, 3.1, 2.5]\nlengths_sd = [0.1, 0.03, 0.0]"),
-    )
-    scene = identify_arguments(read_campaign(file))["scene"]
-    assert scene.room.lengths_sd_m == (0.1, 0.03, 0.0)
-    stated = {o.label: o.sd_m for o in offsets_of(scene) if o.is_stated}
-    assert stated == {"array x": 0.1, "array y": 0.03, "length x": 0.1, "length y": 0.03}
-
-
-@pytest.mark.parametrize(
-    ("members", "sd", "message"),
-    [
-        ('["LS7"]', "0.1", "neither a source nor a receiver"),
-        ("[]", "0.1", "members"),
-        ('["LS1"]', "-0.1", "sd"),
-        ('["LS1"]', "[0.1, 0.1]", "sd"),
-    ],
-)
-def test_a_group_that_cannot_be_meant_is_refused(tmp_path, members, sd, message):
-    table = f"[groups.array]\nmembers = {members}\nsd = {sd}\n[sources.LS1]"
-    file = write_campaign(tmp_path, ("[sources.LS1]", table))
-    with pytest.raises(InputError, match=message):
-        read_campaign(file)
-
-
-def test_only_a_box_has_lengths_that_are_uncertain():
-    room = replace(roomfit.shoebox_room((6, 5, 3), "plaster"), shoebox_m=None)
-    with pytest.raises(InputError, match="only a box"):
-        replace(room, lengths_sd_m=(0.1, 0.1, 0.1))

@@ -15,7 +15,6 @@ from roomfit.identify import identify
 from roomfit.result import Result
 from small_campaign import (
     ABSORPTION,
-    RATE_HZ,
     small_responses,
     write_campaign,
     write_wav,
@@ -111,17 +110,6 @@ def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
 
 
 @pytest.mark.slow
-def test_latency_is_subtracted_exactly(tmp_path, plain):
-    delayed = 40
-    path = write_campaign(
-        tmp_path, ('file = "LS1', f'latency_s = {delayed / RATE_HZ}\nfile = "LS1')
-    )
-    for name, pressure in small_responses().items():
-        write_wav(tmp_path / f"LS1_{name}.wav", np.pad(pressure, (delayed, 0)))
-    assert_same_absorption(plain, identify(**load_campaign(path)), 2e-3)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("time_zero", ["direct", "unknown"])
 def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, time_zero):
     """The direct sound's onset is found within 3 samples, 13 cm at this low sampling rate."""
@@ -131,14 +119,6 @@ def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, 
     answer = identify(**load_campaign(path))
     np.testing.assert_allclose(answer.mean_absorption[0], plain.mean_absorption[0], atol=0.05)
     assert Code.TIME_ZERO_MISMATCH not in codes(answer)
-
-
-@pytest.mark.slow
-def test_more_surfaces_of_one_material_change_nothing(tmp_path, plain):
-    """The four walls named one by one instead of as a group."""
-    one_by_one = "\n".join(f'{w} = "walls"' for w in ("west", "east", "south", "north"))
-    answer = answer_to(tmp_path, ('walls = "walls"', one_by_one))
-    assert_same_absorption(plain, answer, 1e-12)
 
 
 def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):

@@ -345,21 +345,6 @@ def chairs(folder, text: str) -> object:
     return law, volume
 
 
-@pytest.mark.parametrize(
-    ("text", "area_m2"),
-    [
-        ("absorption_area_m2 = 0.2\ncount = 30", [6.0, 6.0]),
-        ("absorption_area_m2 = [0.1, 0.2]\ncount = 10", [1.0, 2.0]),
-        ('absorption_area_m2 = "person-seated"\ncount = 10', [4.4, 4.5]),
-        ("absorption_area_m2 = {centres_hz = [500, 1000], values = [1, 2]}", [1.0, 2.0]),
-    ],
-)
-def test_a_campaign_states_the_area_of_objects(tmp_path, text, area_m2) -> None:
-    """Per piece, by band, from the catalogue as its source prints it, or at frequencies."""
-    law, volume = chairs(tmp_path, text)
-    np.testing.assert_allclose(object_area_m2(law.known, volume), area_m2, rtol=1e-6)
-
-
 def test_seats_are_stated_by_the_floor_they_stand_on(tmp_path) -> None:
     """An entry of the catalogue is a coefficient: 8 m2 of it are a prior of 8 times that."""
     text = 'prior = "audience-wood-chairs"\nfloor_area_m2 = 8.0'
@@ -369,31 +354,3 @@ def test_seats_are_stated_by_the_floor_they_stand_on(tmp_path) -> None:
     spread = law.prior_logit_sd * (1.0 - middle / law.upper)
     areas = object_area_m2(middle, volume) * np.exp(0.5 * spread**2)
     np.testing.assert_allclose(areas, 8.0 * mean, rtol=0.02)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("count = 3", "needs a known absorption area or a prior"),
-        ("absorption_area_m2 = 1\nprior = {mean = 1, sd = 1}", "needs a known absorption area or"),
-        ("absorption_area_m2 = 1\ncount = 2\nfloor_area_m2 = 3", "measured in two ways"),
-        ('absorption_area_m2 = "person-seated"\nfloor_area_m2 = 3', "of another kind"),
-        ('absorption_area_m2 = "audience-wood-chairs"', "of another kind"),
-        ('absorption_area_m2 = 1\nstates = ["empty"]', "state that the room does not have"),
-        ("absorption_area_m2 = -1", "absorption_area_m2"),
-        ("absorption_area_m2 = [1, 2, 3]", "absorption_area_m2"),
-    ],
-)
-def test_what_cannot_be_meant_of_objects_is_refused(tmp_path, text, words) -> None:
-    """With the key and what is needed."""
-    with pytest.raises(InputError, match=words):
-        chairs(tmp_path, text)
-
-
-def test_an_object_of_which_nothing_is_stated_is_refused() -> None:
-    """No broad prior fits what may be a chair or an audience; and an area is of one volume."""
-    with pytest.raises(InputError, match="do not belong together"):
-        identify(room_scene(), measured(AREA_M2), walls_known(), BANDS, settings=FEW)
-    other = object_prior("people", BANDS, 2.0 * VOLUME_M3, absorption_area_m2=1.0)
-    with pytest.raises(InputError, match="do not belong together"):
-        identify(room_scene(), measured(AREA_M2), [*walls_known(), other], BANDS, settings=FEW)

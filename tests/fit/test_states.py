@@ -13,7 +13,6 @@ from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
-from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from roomfit.predict.changes import read_change
 from roomfit.predict.predict import predict
@@ -22,7 +21,6 @@ from roomfit.result import absorption_posterior
 from roomfit.room.scene import scene_of, select_pairs, shoebox_room, with_states
 from roomfit.settings import Settings
 from roomfit.signals.measurement import Measurement
-from small_campaign import run_command, write_campaign
 
 RATE_HZ = 8000
 LENGTHS_M = (4.4, 3.6, 2.6)
@@ -150,24 +148,3 @@ def test_a_change_to_a_material_of_another_state_is_that_state():
     mixed = replace(both, pair_state=np.array([0, 1, 0, 1]))
     with pytest.raises(InputError, match="one state"):
         predict(Question(mixed, found, settings=FEW))
-
-
-def test_a_campaign_names_its_states(tmp_path, monkeypatch, capsys):
-    state = '[[states]]\nname = "closed"\nmaterials = {south = "curtain"}\n[identify]'
-    second = 'receiver = "MP2"\nfile'
-    path = write_campaign(
-        tmp_path, ("[identify]", state), (second, second.replace("\n", '\nstate = "closed"\n'))
-    )
-    arguments = load_campaign(path)
-    assert [m.state for m in arguments["measurements"]] == ["", "closed"]
-    assert arguments["scene"].room.materials[-1] == "curtain"
-    for wrong, message in (
-        ('state = "close"', "did you mean 'closed'"),
-        ('state = ["closed"]', "measurements"),
-    ):
-        text = path.read_text().replace('state = "closed"\n', wrong + "\n")
-        other = tmp_path / "other.toml"
-        other.write_text(text)
-        assert run_command(monkeypatch, "identify", other, "--out", tmp_path / "out") == 2
-        assert message in capsys.readouterr().err
-        assert not (tmp_path / "out").exists()

@@ -115,18 +115,6 @@ def test_the_error_of_a_decay_is_its_rate_times_the_time() -> None:
     np.testing.assert_allclose(found, -rate_per_s * _middles_s(term), rtol=0.02)
 
 
-def _rate(change: float) -> DecayRate:
-    """Return what data say whose rate is so much larger than that of the walls."""
-    term = energies()
-    signal = np.concatenate([o.energy for o in term.observations])
-    slope = decay_error(term, signal)
-    fit = _converged(_with_data(term, np.exp(change * slope)))
-    problem = objective_of(_with_data(term, np.exp(change * slope)))
-    jacobian = problem.jacobian(fit.vector)
-    error = (fit.expected * decay_error(term, fit.expected))[:, None]
-    return decay_rate(problem, fit, jacobian, error)
-
-
 def test_the_information_on_the_rate_is_that_of_a_further_unknown() -> None:
     """Against the Schur complement of the rate in the information of all unknowns."""
     term = energies()
@@ -141,30 +129,6 @@ def test_the_information_on_the_rate_is_that_of_a_further_unknown() -> None:
     np.testing.assert_allclose(found.information, 1.0 / variance / max(fit.chi2_reduced, 1.0))
     # as unknowns move when the rate is held that much higher
     np.testing.assert_allclose(found.step, np.linalg.solve(fit.information, across))
-
-
-def test_data_that_agree_with_the_rate_leave_the_mean_of_both_priors() -> None:
-    """Without a residual the posterior is the mixture of two normal laws of known variances.
-
-    The priors of the walls leave a residual of 1 % of it.
-    """
-    rate = _rate(0.0)
-    variance = 1.0 / (rate.information + DECAY_SDS**-2)
-    weight = DECAY_PROBABILITIES * np.sqrt(variance) / DECAY_SDS
-    (found,) = decay_error_sds([rate])
-    np.testing.assert_allclose(found**2, weight @ variance / weight.sum(), rtol=0.02)
-    assert found < np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2)
-
-
-def test_data_that_contradict_the_rate_of_the_walls_enlarge_the_term() -> None:
-    """The farther off, the larger, and never beyond the wide prior: first order ends there."""
-    sizes = [float(decay_error_sds([_rate(change)])[0]) for change in (0.0, 1.5)]
-    assert sizes[0] < sizes[1]
-    # known to 0.05: 0, 1, 3 and 60 of these off
-    known = [DecayRate(400.0, z * 20.0, np.zeros(1)) for z in (0.0, 1.0, 3.0, 60.0)]
-    sizes = [float(decay_error_sds([rate])[0]) for rate in known]
-    assert sizes[0] < sizes[1] < sizes[2] < sizes[3]
-    assert sizes[3] == pytest.approx(DECAY_SDS.max())
 
 
 def test_all_bands_say_whether_a_room_decays_as_its_model_does() -> None:

@@ -5,22 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
 from roomfit.base.findings import Code
-from roomfit.demo.boxes import SyntheticBox, box_images
-from roomfit.fit.trace_plan import TracePlan, has_every_order, images_until_s, plan_trace, traced_s
+from roomfit.fit.trace_plan import TracePlan, images_until_s, plan_trace, traced_s
 from roomfit.materials.priors import MaterialPrior
 from roomfit.room.scene import Scene, shoebox_room
 from roomfit.room.scene import scene_of as named_scene
 from roomfit.settings import Settings
-from roomfit.tracing.trace import trace
 
 LENGTHS_M = (5.7, 6.5, 2.7)
 SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 4.9, 1.6]
-ALPHA = np.array([0.1, 0.9, 0.02, 0.02, 0.9, 0.15])
 
 
 def far_plan(
@@ -39,24 +34,6 @@ def plan(scattering: float, longest_s: float) -> TracePlan:
         for name in BOX_MATERIALS
     )
     return far_plan(scene, priors, longest_s, Settings())
-
-
-def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
-    """Energy without any diffuse hit from 0.22 to 0.3 s, against the lattice of another module.
-
-    Rays find it by luck: of sixty thousand few stay between two walls for so long.
-    """
-    planned = plan(0.15, 0.35)
-    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
-    paths = trace(scene, planned.settings, planned.scattering).paths
-    t = paths.length_m / SPEED_M_S
-    late = (t > 0.22) & (t < 0.3) & ~paths.hits_diffuse.any(axis=1)
-    found = paths.weight_per_m2 * np.prod((1.0 - ALPHA) ** paths.hits_specular, axis=1)
-    truth = SyntheticBox(LENGTHS_M, np.ones(1), ALPHA[:, None], np.zeros(1), SPEED_M_S)
-    lengths, hits = box_images(truth, np.array(SOURCE), np.array(RECEIVER), 0.3)
-    kept = np.prod(((1.0 - ALPHA) * 0.85) ** hits, axis=1) / (4.0 * np.pi * lengths**2)
-    expected = kept[lengths > 0.22 * SPEED_M_S].sum()
-    np.testing.assert_allclose(found[late].sum(), expected, rtol=1e-6)
 
 
 def test_image_sources_of_a_box_reach_as_far_as_so_many_fill_a_ball() -> None:
@@ -87,50 +64,6 @@ def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
         # up to 0.37 s: 200,000 images a pair
         alone = far_plan(scene, priors, 0.35, Settings())
         assert (alone.settings.n_rays == 0) == (n_receivers == 8)
-
-
-TURN, BY_M = rotation(30.0), np.array([2.3, -1.7, 0.4])
-DOORS = {0: (0.2, 0.35, 0.0, 0.75), 2: (0.3, 0.7, 0.3, 0.75)}
-
-
-def turned_scene(lengths_m: tuple[float, float, float] = LENGTHS_M) -> Scene:
-    """The same pair in the same box, off the origin and turned, with a door and a window."""
-    room = room_with_doors(box_with_doors(lengths_m, DOORS, TURN, BY_M))
-    return scene_of(room, [TURN @ SOURCE + BY_M], [TURN @ RECEIVER + BY_M])
-
-
-def plan_of(scene: Scene, scattering: float, longest_s: float, settings: Settings) -> TracePlan:
-    s = np.array([scattering])
-    priors = tuple(
-        MaterialPrior(name, np.zeros(1), np.ones(1), scattering=s) for name in scene.room.materials
-    )
-    return far_plan(scene, priors, longest_s, settings)
-
-
-@pytest.mark.parametrize("longest_s", [0.35, 2.0])
-@pytest.mark.parametrize("scattering", [0.0, 0.15])
-def test_a_turned_box_with_a_door_has_images_as_far_as_one_that_is_typed(
-    scattering: float, longest_s: float
-) -> None:
-    """Alone where they suffice; moved images keep the product of their reflections."""
-    typed, turned = (
-        plan_of(scene, scattering, longest_s, Settings())
-        for scene in (scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER]), turned_scene())
-    )
-    assert (typed.settings.n_rays == 0) == (scattering == 0.0 and longest_s < 1.0)
-    for plan in (typed, turned):
-        assert has_every_order(plan.settings)
-        assert plan.settings.image_order == typed.settings.image_order
-        assert (plan.settings.n_rays == 0) == (typed.settings.n_rays == 0)
-    reaches = [(p.settings.image_until_s or np.inf, p.settings.duration_s) for p in (typed, turned)]
-    np.testing.assert_allclose(*reaches, rtol=1e-9)
-    assert turned.settings.keep_image_transforms and not typed.settings.keep_image_transforms
-
-
-def test_a_box_of_very_many_triangles_is_traced_by_rays_after_the_first_orders() -> None:
-    """Each hit on a wall with a door would be looked up among all triangles of the wall."""
-    found = plan_of(turned_scene(), 0.0, 0.35, Settings(most_triangles_for_images=20))
-    assert found.settings.image_order == 3 and found.settings.n_rays > 0
 
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:

@@ -10,9 +10,6 @@ import pytest
 from posterior_cases import Linear, linear_case
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import (
-    GEOMETRY,
-    Marginal,
-    Parameters,
     prior_residuals,
     start_vector,
 )
@@ -119,15 +116,3 @@ def test_what_one_band_says_to_the_next_is_weakened_by_its_misfit(misfit):
     found = marginal(fit, 3, prior)
     np.testing.assert_allclose(found.information, prior + added / max(misfit, 1.0), rtol=1e-9)
     np.testing.assert_array_equal(found.mean, fit.vector[3:])
-
-
-def test_a_law_of_the_geometry_by_other_bands_is_no_datum_of_this_one():
-    """A narrow joint prior takes the place of the block's own, and its unknowns spend less."""
-    wide = dependent_case(4, 1.0)
-    joint = Marginal(np.zeros(4), 1e6 * np.eye(4))
-    narrow = replace(wide, parameters=Parameters(wide.parameters.blocks, joint))
-    assert wide.parameters.blocks[1].name == GEOMETRY
-    fit = fit_band(narrow, settled_sd=1e-7)
-    squares = np.sum((narrow.observed - narrow.matrix @ fit.vector) ** 2) / narrow.sd**2
-    spent = narrow.observed.size - squares / fit.chi2_reduced
-    assert 2.5 < spent < 3.001  # three absorptions under their broad prior

@@ -103,22 +103,6 @@ def test_what_only_the_prior_tells_is_no_combination():
     assert len(found) == 1
 
 
-def test_held_materials_stay_exactly_where_they_are():
-    """Their share of the room's mean has no spread."""
-    (room,) = find_combinations(
-        np.ones(2),
-        np.array([0.4, 1.0]),
-        np.zeros((2, 2)),
-        np.zeros(2),
-        np.eye(2),
-        np.random.default_rng(1),
-    )
-    assert room.value == pytest.approx(0.7)
-    # the sum of halves, rounded
-    assert room.sd < 1e-12
-    assert room.lower95 == pytest.approx(0.7)
-
-
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """Rooms of five materials of which one decay is known within 3 or 10 %.
@@ -173,15 +157,6 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
             low, high = np.quantile(draws.mean(axis=1), (0.025, 0.975))
             held[name] += low <= truth.mean() <= high
     assert held["assumed"] > max(62, held["as specified"])
-
-
-def test_a_prior_that_somebody_specified_is_taken_at_its_word():
-    """The same draws with and without the doubt, where the prior is not the one for any wall."""
-    a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
-    prior = np.array([-2.0, -1.0]), np.diag([1.0, 0.25])
-    plain = rto_draws(a, covariance, *prior, 64, np.random.default_rng(4))
-    drawn = band_draws(a, covariance, *prior, 64, np.random.default_rng(4))
-    np.testing.assert_array_equal(drawn, plain)
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.05])

@@ -15,7 +15,6 @@ from roomfit.solver import fit_band
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
     answer_steps,
-    band_estimate,
     fit_covariance,
     prior_only_band,
     weighted_mean_gradient,
@@ -85,16 +84,3 @@ def test_an_error_that_all_data_share_moves_the_answer_as_stated_and_is_added_on
     np.testing.assert_allclose(steps[:, 0], moved.vector - fit.vector, atol=1e-6)
     found = fit_covariance(fit, steps) - fit_covariance(fit)
     np.testing.assert_allclose(found, steps @ steps.T, rtol=1e-6, atol=1e-12)
-
-
-def test_an_estimate_carries_the_covariance_of_its_intervals():
-    """Misfit included, for whatever is drawn from it later."""
-    problem = linear_case(6)
-    fit = fit_band(problem)
-    answer = band_estimate(problem.parameters, fit, "energy")
-    sd = np.sqrt(np.diag(answer.logit_covariance))
-    np.testing.assert_allclose(answer.lower95, expit(fit.vector[:3] - 1.959964 * sd), rtol=1e-6)
-    np.testing.assert_allclose(
-        answer.logit_covariance,
-        np.linalg.inv(fit.information)[:3, :3] * max(fit.chi2_reduced, 1.0),
-    )

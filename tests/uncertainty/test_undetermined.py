@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.uncertainty.combinations import (
-    Difference,
     Undetermined,
     absorption_shares,
     determined,
-    find_combinations,
     information_directions,
     undetermined_groups,
 )
@@ -79,12 +77,6 @@ def test_held_and_tied_materials_open_nothing_by_themselves():
     assert undetermined_groups(np.zeros((3, 3)), np.eye(3)) == ()
 
 
-def test_where_all_is_known_nothing_is_said():
-    a, prior = np.full((3, 1), 0.3), (np.zeros((3, 1)), np.eye(3)[None])
-    (found,) = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
-    assert found.sentence == ""
-
-
 def test_shares_agree_with_the_tangent_where_errors_are_small():
     """Gaussian errors of 1 %: the interval of A1 / (A1 + A2) by its derivative.
 
@@ -110,13 +102,3 @@ def test_a_share_is_known_where_only_the_ratio_is():
     np.testing.assert_allclose(low, value)
     np.testing.assert_allclose(high, value)
     assert absorption_shares(np.ones(1), np.zeros(1), np.zeros((5, 1)))[0] == 0.0
-
-
-def test_a_difference_is_reported_the_larger_less_the_smaller():
-    a, covariance, before = floor_and_ceiling()
-    found = find_combinations(
-        np.ones(3), a, covariance, np.full(3, -1.7), before, np.random.default_rng(1)
-    )
-    differences = [d for c in found for d in c.differences]
-    assert all(isinstance(d, Difference) and d.value >= 0.0 for d in differences)
-    assert len(differences) == 1

@@ -97,7 +97,10 @@ def traced_paths(
 
     def planned() -> TracePlan:
         return plan_trace(
-            *(scene, priors, *time_scales(measurements), settings),
+            scene,
+            priors,
+            *time_scales(measurements),
+            settings,
             images_until_s=images_until_s,
             by_values=not measurements.responses,
         )

@@ -105,10 +105,7 @@ def room_posterior(
     if absorption.prior_specified is not None:
         specified = np.ones(n, dtype=np.bool_)
         specified[own] = absorption.prior_specified[theirs]
-    scattering = matched(absorption.scattering, np.full(shape, np.nan))
-    for i, k in enumerate(priors):  # specified where nothing was found or it is not to be fitted
-        if k.scattering is not None and (not k.fit_scattering or np.isnan(scattering[i]).any()):
-            scattering[i] = k.scattering
+    scattering = _scattering(priors, matched(absorption.scattering, np.full(shape, np.nan)))
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
     return AbsorptionPosterior(
         names,
@@ -131,6 +128,14 @@ def room_posterior(
         result_findings=absorption.result_findings,
         objects=volumes_m3,
     )
+
+
+def _scattering(priors: Sequence[MaterialPrior], found: FloatArray) -> FloatArray:
+    """Return what was found, or what is specified where nothing was or it is not to be fitted."""
+    for i, k in enumerate(priors):
+        if k.scattering is not None and (not k.fit_scattering or np.isnan(found[i]).any()):
+            found[i] = k.scattering
+    return found
 
 
 def _in_volume(known: AbsorptionPosterior, name: str, own_m3: float) -> AbsorptionPosterior:
