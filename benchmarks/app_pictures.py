@@ -139,7 +139,7 @@ def _show(page: Any, tab: str) -> None:
         page.get_by_role("button", name=re.compile("^floor")).click()
         page.get_by_text("Surface floor").wait_for()
     elif tab == "Identify":
-        page.frame_locator("iframe").get_by_text("The measurements determine").first.wait_for()
+        page.frame_locator("iframe").get_by_text("Provenance").first.wait_for()
     elif tab == "What if":
         page.get_by_role("combobox", name="Material").click()
         page.get_by_role("option", name="brick").click()

@@ -137,7 +137,7 @@ def test_from_the_demo_project_to_the_downloaded_report(browser: Any, tmp_path: 
         page.get_by_role("button", name="Cancel").wait_for()
         visit.tab("Identify")
         page.get_by_text("Absorption: first answer").wait_for(timeout=_MINUTES_MS)
-        page.frame_locator("iframe").get_by_text("The measurements determine").first.wait_for()
+        page.frame_locator("iframe").get_by_text("Provenance").first.wait_for()
         # what if
         visit.tab("What if")
         page.get_by_text("pairs, 0 materials changed").wait_for(timeout=_MINUTES_MS)
@@ -152,7 +152,7 @@ def test_from_the_demo_project_to_the_downloaded_report(browser: Any, tmp_path: 
         visit.tab("Report")
         with page.expect_download() as got:
             page.get_by_role("link", name="Download report.html").click()
-        assert b"The measurements determine" in Path(got.value.path()).read_bytes()
+        assert b"Provenance" in Path(got.value.path()).read_bytes()
         with page.expect_download() as got:
             page.get_by_role("button", name="Excel").click()
         assert Path(got.value.path()).read_bytes()[:2] == b"PK"
@@ -298,7 +298,7 @@ def test_the_full_answer_is_cancelled_begun_anew_and_outlives_its_page(
         again.tab("Identify")
         again.page.get_by_text("Absorption: full answer").wait_for(timeout=_MINUTES_MS)
         report = again.page.frame_locator("iframe")
-        report.get_by_text("The measurements determine").first.wait_for()
+        report.get_by_text("Provenance").first.wait_for()
         assert visit.errors == [] and again.errors == []
         again.context.close()
 
