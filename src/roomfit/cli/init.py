@@ -33,11 +33,13 @@ def run(options: argparse.Namespace) -> None:
     unit, because = options.unit, ""
     if options.room is not None and unit is None and sys.stdin.isatty():
         unit, because = _asked(options.room, options.space)
-    lengths = None if options.shoebox is None else tuple(options.shoebox)
-    room = RoomSpec(options.room, lengths, unit=unit, up=options.up, space=options.space)
+    room = None
+    if options.room is not None or options.shoebox is not None:
+        lengths = None if options.shoebox is None else tuple(options.shoebox)
+        room = RoomSpec(options.room, lengths, unit=unit, up=options.up, space=options.space)
     text = draft_to_folder(
         options.folder,
-        room if options.room is not None or lengths is not None else None,
+        room,
         options.recordings,
         options.positions,
         decay_times=options.decay_times,
