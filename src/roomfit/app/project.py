@@ -240,8 +240,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
         file = f"{RECORDINGS}/{response_name(source, receiver)}"
         if all(row.get("file") != file for row in rows):
             row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
-            at = ("measurements", len(rows) + 1)
-            edits += [Edit(at, key, value) for key, value in row.items()]
+            edits += differences({}, row, "measurements", len(rows) + 1)
         return edits
 
     if has_campaign(folder):
@@ -261,7 +260,7 @@ def bands(folder: Path) -> tuple[float, float]:
 
 
 def decay_times(folder: Path, *, alone: bool = False) -> Path | None:
-    """Return the table of decay times of the campaign; None without one, or beside recordings."""
+    """Return the table of decay times; None without one, or, `alone`, beside recordings."""
     own = _decay_times(campaign_content(folder), alone=alone)
     return None if own is None else folder / str(own.get("file", ""))
 
@@ -386,7 +385,7 @@ def _renamed(folder: Path, positions: Positions, moved: Positions, before: str) 
             elif name not in own:
                 edits.append(Edit((kind, name), "position", FILL_IN))
     for number, row in enumerate(() if by_template else new, start=len(kept) + 1):
-        edits += [Edit(("measurements", number), key, value) for key, value in row.items()]
+        edits += differences({}, row, "measurements", number)
     return edited_text(text, edits)
 
 
