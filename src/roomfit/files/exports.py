@@ -198,11 +198,6 @@ def workbook_bytes(file: ResultFile) -> bytes:
     The sheet ``absorption`` has a row for each material and band, ``absorption by band`` one for
     each material. Of a ``result.json`` also ``room parameters`` (measured, predicted, and the mean
     of the others), ``fit`` (a row a band) and ``findings``.
-
-    Raises
-    ------
-    InputError
-        The result cannot be read, or openpyxl is not installed.
     """
     table, content = read_materials(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])

@@ -257,19 +257,14 @@ def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding
 
 def _check_format(content: Any) -> None:
     if not isinstance(content, dict) or content.get("format") != "roomfit-result":
-        raise InputError(
-            "this is no result of roomfit",
-            found="another format" if isinstance(content, dict) else "no table",
-            needed='"format": "roomfit-result" in the file',
-            hint="give a result.json that roomfit identify has written",
-        )
-    if content.get("format_version") != 1:
-        raise InputError(
-            "this version of roomfit cannot read that result",
-            found=f"format_version {content.get('format_version')}",
-            needed="format_version 1",
-            hint="identify again, or export with the version of roomfit that wrote it",
-        )
+        found = "another format" if isinstance(content, dict) else "no table"
+        needed = '"format": "roomfit-result" in the file'
+        hint = "give a result.json that roomfit identify has written"
+        raise InputError("this is no result of roomfit", found=found, needed=needed, hint=hint)
+    if (version := content.get("format_version")) != 1:
+        what, needed = "this version of roomfit cannot read that result", "format_version 1"
+        hint = "identify again, or export with the version of roomfit that wrote it"
+        raise InputError(what, found=f"format_version {version}", needed=needed, hint=hint)
 
 
 def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
@@ -474,13 +469,10 @@ def _sometimes(answer: Result, usable: Sequence[str]) -> dict[str, Any]:
             {name or "nothing": number_or_null(round(sd, 6)) for name, sd in band.items()}
             for band in answer.mean_costs
         ]
-    if answer.directivities:
-        content["directivity"] = {
-            name: {"b": d.b, "sd": d.sd}
-            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
-            for d in answer.directivities
-            for name, p in d.patterns().items()
-        }
+    for d in answer.directivities:
+        for name, p in d.patterns().items():
+            shared = {} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker}
+            content.setdefault("directivity", {})[name] = {"b": d.b, "sd": d.sd, **shared}
     if geometry is not None:  # shifts that arrival times need: no measurement of positions
         content["geometry"] = {
             "note": "fitted to arrival times; these absorb errors of the model, too",
