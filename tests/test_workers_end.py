@@ -13,20 +13,9 @@ import pytest
 
 from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.base.whole_files import locked
-from roomfit.batch import cluster
-from roomfit.batch.cluster import check_memory
 from roomfit.batch.rooms import identify_rooms, room_tasks, rooms_text
 
 HELPERS = Path(__file__).parent / "helpers"
-
-
-def test_a_limit_of_memory_below_what_a_room_takes_is_refused_with_both_figures() -> None:
-    for enough in (0, cluster.LEAST_MEMORY_BYTES, 10**10):
-        check_memory(enough, "worker", "more")
-    with pytest.raises(InputError) as refused:
-        check_memory(cluster.LEAST_MEMORY_BYTES - 1, "tcp://10.0.0.1:1", "start it with more")
-    assert "400 MB" in str(refused.value.found) and "400 MB" in str(refused.value.needed)
-    assert refused.value.where == "tcp://10.0.0.1:1" and refused.value.hint == "start it with more"
 
 
 def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_path: Path) -> None:

@@ -37,21 +37,9 @@ def float_array(
 ) -> FloatArray:
     """Copy `values` into a read-only float64 array after checking shape, range and finiteness.
 
-    Parameters
-    ----------
-    name : str
-        What the array is called in a message, with its unit where it has one.
-    shape : tuple
-        Expected shape; None stands for any length.
-    low, high : float
-        Closed range that every value must lie in.
-    unit : str
-        Shown behind the range.
-
-    Raises
-    ------
-    InputError
-        Not numbers, wrong shape, not finite, or out of range.
+    `name` stands in messages, with its unit where it has one; None in `shape` for any length; `low`
+    and `high` are a closed range, and `unit` is shown behind it. `InputError` where they are no
+    numbers, of another shape, not finite, or out of range.
     """
     try:
         array = np.array(values, dtype=np.float64)
@@ -78,13 +66,7 @@ def int_array(
     low: int | None = None,
     high: int | None = None,
 ) -> IntArray:
-    """Copy `values` into a read-only integer array after checking shape and range.
-
-    Raises
-    ------
-    InputError
-        Wrong shape, not whole numbers, or out of range.
-    """
+    """Copy `values` into a read-only integer array after checking shape and range."""
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
         what = f"{name} must be whole numbers"
@@ -208,12 +190,7 @@ def check_known(
 ) -> None:
     """Refuse a name that is none of the known ones, and offer the one most like it.
 
-    Parameters
-    ----------
-    else_needed : str
-        What is needed where no name is known at all.
-    else_try : str, optional
-        What to try where no known name comes near, instead of one of those listed.
+    `else_needed` is said where no name is known at all, `else_try` where none comes near.
     """
     known = tuple(known)
     if name not in known:

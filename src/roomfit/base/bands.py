@@ -106,14 +106,7 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
 
 
 def bands_in_words(bands: Bands, chosen: Iterable[int], notes: Sequence[str] = ()) -> str:
-    """Return some of the bands for a sentence, each with a note in brackets if there are any.
-
-    Parameters
-    ----------
-    chosen : iterable of int
-        Their numbers, from 0.
-    notes : sequence of str, optional
-        One for each of them.
+    """Return bands by their numbers for a sentence, each with a note in brackets if there are any.
 
     Examples
     --------

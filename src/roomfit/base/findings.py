@@ -214,9 +214,6 @@ class Code(StrEnum):
     NOISE_ESTIMATED = "noise-estimated", "warning"
 
 
-_CODES = {code.value: code for code in Code}
-
-
 def code_of(text: object, where: str) -> Code:
     """Return the code that stands in a file.
 
@@ -232,7 +229,7 @@ def code_of(text: object, where: str) -> Code:
     InputError
         No finding has this code.
     """
-    code = _CODES.get(text) if isinstance(text, str) else None
+    code = next((code for code in Code if code == text), None)
     if code is None:
         raise InputError(
             "a finding has an unknown code",

@@ -82,13 +82,7 @@ class RoomRow:
 
 
 def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return the campaign files that paths and patterns (``*``, ``?``, ``**``) name, each once.
-
-    Raises
-    ------
-    InputError
-        A pattern matches nothing.
-    """
+    """Return the campaign files that paths and patterns (``*``, ``?``, ``**``) name, each once."""
     found: list[Path] = []
     for pattern in patterns:
         text = str(pattern)
@@ -130,13 +124,7 @@ def room_tasks(campaigns: Sequence[Path], *, quick: bool = False) -> tuple[RoomT
 
 
 def shard_of(tasks: Sequence[RoomTask], shard: tuple[int, int]) -> tuple[RoomTask, ...]:
-    """Return every n-th task from the i-th on, i and n from 1: the share of one job of an array.
-
-    Raises
-    ------
-    InputError
-        Not 1 <= i <= n.
-    """
+    """Return every n-th task from the i-th on, i and n from 1: the share of one job of an array."""
     i, n = shard
     if not 1 <= i <= n:
         what = "the shard is out of range"
@@ -358,21 +346,21 @@ def _page_table(rows: Sequence[RoomRow]) -> Table:
         *("Decay time there, measured, s", "predicted, s"),
         *("Largest reduced chi-square", "Findings"),
     )
-    return Table("Every room with its key figures", columns, [*map(_page_row, rows)], form=".2f")
-
-
-def _page_row(row: RoomRow) -> tuple[Value, ...]:
-    mean, lower, upper = row.mean
-    link = quote(f"{row.folder}/report.html") if row.folder else ""
-    bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
-    return (
-        row.name,
-        Cell(row.status, tuple(row.message.splitlines()), link=link),
-        f"{row.identifiable} of {row.values}" if row.values else "",
-        Cell(written(mean, ".2f"), bounds),
-        *(*row.decay_s, row.chi2_reduced),
-        Cell("", row.findings),
-    )
+    shown = []
+    for row in rows:
+        mean, lower, upper = row.mean
+        link = quote(f"{row.folder}/report.html") if row.folder else ""
+        bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
+        cells: tuple[Value, ...] = (
+            row.name,
+            Cell(row.status, tuple(row.message.splitlines()), link=link),
+            f"{row.identifiable} of {row.values}" if row.values else "",
+            Cell(written(mean, ".2f"), bounds),
+            *(*row.decay_s, row.chi2_reduced),
+            Cell("", row.findings),
+        )
+        shown.append(cells)
+    return Table("Every room with its key figures", columns, shown, form=".2f")
 
 
 def rooms_text(rows: Sequence[RoomRow]) -> str:
