@@ -76,12 +76,7 @@ def room_posterior(
     own = [names.index(absorption.materials[i]) for i in theirs]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     shape = (len(names), len(bands))
-    fixed = np.full(shape, 0.5)
-    # what is only known after a change has no variance, and an interval of 0 to 1
-    lowest, highest = np.zeros(shape), np.ones(shape)
-    for i, k in enumerate(priors):
-        if k.known is not None:
-            fixed[i] = lowest[i] = highest[i] = k.known
+    fixed, lowest, highest = _stated(priors, len(bands))
 
     def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         found = otherwise.copy()
@@ -101,10 +96,9 @@ def room_posterior(
     n, mean, sd = len(names), absorption.prior_logit_mean, absorption.prior_logit_sd
     has_prior = mean is not None and sd is not None
     before, draws = absorption.prior_logit_covariance, absorption.draws
-    specified = None
-    if absorption.prior_specified is not None:
-        specified = np.ones(n, dtype=np.bool_)
-        specified[own] = absorption.prior_specified[theirs]
+    specified = np.ones(n, dtype=np.bool_)
+    if (flags := absorption.prior_specified) is not None:
+        specified[own] = flags[theirs]
     scattering = _scattering(priors, matched(absorption.scattering, np.full(shape, np.nan)))
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
     return AbsorptionPosterior(
@@ -119,7 +113,7 @@ def room_posterior(
         None if before is None else matched_covariance(before, np.eye(n)),
         scattering=scattering,
         directivities=sources,
-        prior_specified=specified,
+        prior_specified=None if flags is None else specified,
         chi2_reduced=in_bands(absorption.chi2_reduced),
         by_pressures=in_bands(absorption.by_pressures),
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
@@ -128,6 +122,18 @@ def room_posterior(
         result_findings=absorption.result_findings,
         objects=volumes_m3,
     )
+
+
+def _stated(priors: Sequence[MaterialPrior], n_bands: int) -> FloatArray:
+    """Return fixed absorptions with their bounds, (3, n_materials, n_bands).
+
+    What is only known after a change has no variance, and an interval of 0 to 1.
+    """
+    found = np.tile(np.array([0.5, 0.0, 1.0])[:, None, None], (1, len(priors), n_bands))
+    for i, k in enumerate(priors):
+        if k.known is not None:
+            found[:, i] = k.known
+    return found
 
 
 def _scattering(priors: Sequence[MaterialPrior], found: FloatArray) -> FloatArray:
