@@ -1,25 +1,18 @@
 """Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
 
     python benchmarks/known_changes.py DATA [--room r3vival together dechorate] [--step DEGREES]
-        [--rings 150 200] [--scattering S [S]] [--seed SEED] [--product-sd SD] [--out DIR] [--moved]
+        [--rings 150 200] [--scattering S [S]] [--seed SEED] [--product-sd SD]
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
 `dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
 
 For each room: the absorption of every wall in every state with 95 % intervals, and standardised
-differences of the walls that did not change. For the first, state R, whose walls are those of two
-other states, predicted from these: the raw model, and the measured values carried over by the
-model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
-states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent),
-and compares every state by itself, with the defaults, with these two.
-Isolated first reflections stand beside the walls that were fitted, with what they return more
-than these, in dB; of the first room those that leave a loudspeaker as the direct sound does.
+differences of the walls that did not change. `together` fits two states of the first room at once,
+its panels as products (`--product-sd`, logit; 0: independent), predicts state R, whose walls are
+those of the two, beside Sabine's formula and the mean of both, and compares every state by itself.
 `dechorate`: the change from one state to the other, pair by pair and in the mean, with the floor of
 the first and the panels of the second, beside Sabine's and Eyring's formula with the same walls and
 the mean of both states.
-
---moved   state 000 of `r3vival` with its array specified .3, .5 and 1 m off along x and the room 20
-          cm too long, and as it is: which displacement is found
 """
 
 from __future__ import annotations
@@ -33,22 +26,13 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from matplotlib import pyplot as plt
 
 import roomfit
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.logit import Z95, logit
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.checks.reflections import (
-    IsolatedReflection,
-    isolated_reflections,
-    wall_returns,
-)
-from roomfit.fit.measurements import collect_measurements
-from roomfit.fit.paths import traced_paths
 from roomfit.materials.priors import (
     MaterialPrior,
-    complete_priors,
     prior_logits,
     unknown_material,
 )
@@ -62,7 +46,6 @@ from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Point, Scene, material_areas_m2, with_states
 from roomfit.signals.decay import ParameterName
-from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = roomfit.bands_between("octave", 125, 4000)
 WALLS = ("front", "back", "right", "left", "floor", "ceiling")
@@ -247,67 +230,6 @@ def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
     )
 
 
-def mixed(base: Result, other: Result, walls: Sequence[str]) -> AbsorptionPosterior:
-    """Return the walls of one state, those named taken from another one."""
-    one, two = absorption_posterior(base), absorption_posterior(other)
-    taken = np.array([name in walls for name in one.materials])[:, None]
-    both = taken == taken.T
-    covariance = np.where(taken, two.logit_covariance, one.logit_covariance) * both
-    absorption, lower95, upper95 = (
-        np.where(taken, getattr(two, name), getattr(one, name))
-        for name in ("absorption", "lower95", "upper95")
-    )
-    # draws of one state are none of the mixed one: it is drawn from by its covariance
-    return replace(
-        one,
-        absorption=absorption,
-        lower95=lower95,
-        upper95=upper95,
-        logit_covariance=covariance,
-        draws=None,
-    )
-
-
-def swap(data: Path, step: int, rings: Sequence[str], results: Mapping[str, Result]) -> None:
-    """Predict state R from the walls of 000 and 100, beside what needs no model of the room."""
-    scene = r3vival(data, "R", step, rings)[0]
-    found: dict[str, Predicted] = {}
-    for state, posterior in {
-        "000": absorption_posterior(results["000"]),
-        "100": absorption_posterior(results["100"]),
-        "R": mixed(results["000"], results["100"], ABSORBING["R"]),
-    }.items():
-        found[state] = predict(
-            Question(scene, posterior, measurements=r3vival(data, state, step, rings)[1])
-        )
-    bands = results["000"].bands.centres_hz
-    t = {s: (p.mean["T30_s"].measured, p.mean["T30_s"].predicted) for s, p in found.items()}
-    areas = dict(zip(scene.room.materials, material_areas_m2(scene.room), strict=True))
-    share = sum(areas[w] for w in ABSORBING["R"]) / sum(areas[w] for w in ABSORBING["100"])
-    sabine = 1.0 / (1.0 / t["000"][0] + share * (1.0 / t["100"][0] - 1.0 / t["000"][0]))
-    carried = t["R"][1] * np.sqrt(t["000"][0] / t["000"][1] * t["100"][0] / t["100"][1])
-    rows: dict[str, FloatArray] = {
-        "model of 000": t["000"][1] / t["000"][0],
-        "model of 100": t["100"][1] / t["100"][0],
-        "R, model": t["R"][1] / t["R"][0],
-        "R, carried over": carried / t["R"][0],
-        "R, Sabine": sabine / t["R"][0],
-        "R, mean of both": 0.5 * (t["000"][0] + t["100"][0]) / t["R"][0],
-    }
-    judged = bands > JUDGED_HZ
-    print("\nMean T30, predicted over measured, %  " + "".join(f"{f:>8g}" for f in bands))
-    for name, ratio in rows.items():
-        print(error_row(name, ratio, judged))
-    mean = found["R"].mean["T30_s"]
-    held = (mean.lower95 <= mean.measured) & (mean.measured <= mean.upper95)
-    half = 50.0 * (mean.upper95 - mean.lower95) / mean.predicted
-    print(
-        f"mean T30 of R within its interval in {held[judged].sum()} of {judged.sum()} bands, "
-        f"median half width {np.median(half[judged]):.0f} %"
-    )
-    print(c50_text(found))
-
-
 def swap_together(
     data: Path, case: Case, result: Result, known: Sequence[str], unknown: str
 ) -> None:
@@ -371,51 +293,6 @@ def swap_together(
         print(c50_of(state, unknown, (p,), itself))
     print(c50_of(" and ".join(found), unknown, tuple(found.values()), itself))
     print(edt_of(" and ".join(found), unknown, tuple(found.values()), itself))
-
-
-def first_reflections(case: Case, result: Result, *, on_axis: bool) -> str:
-    """Return what isolated first reflections say of every wall, beside its fitted absorption.
-
-    `on_axis`: of loudspeakers that face the receiver, those that leave them as the direct sound.
-    """
-    scene, measurements, directivities = case
-    measured = collect_measurements(scene, measurements, result.bands, directivities)
-    priors = complete_priors(scene.room.materials, (), result.bands)
-    settings = roomfit.Settings(model="energy", n_rays=5000)
-    start = np.full(len(result.bands), 0.2)
-    traced = traced_paths(measured, priors, settings, start, None)
-    found = isolated_reflections(measured, traced, result.absorption)
-    if on_axis:
-        found = tuple(r for r in found if departs_like_direct_sound(scene, r))
-    lines = ["First reflections that stand alone, number, and the fit with its interval"]
-    for r in wall_returns(found, measured, traced.scattering):
-        m = result.materials.index(r.material)
-        fit = float(result.absorption[m, r.band])
-        level = (
-            ""
-            if r.absorption >= 1.0
-            else f"{10 * np.log10((1 - r.absorption) / (1 - fit)):+.1f} dB"
-        )
-        lines.append(
-            f"  {r.wall:8}{result.bands.centres_hz[r.band]:6g} Hz "
-            f"{r.absorption:5.2f} +- {r.sd:.2f} "
-            f"({r.number})  fit {fit:.2f} "
-            f"({result.lower95[m, r.band]:.2f}-{result.upper95[m, r.band]:.2f})  {level}"
-        )
-    return "\n".join(lines)
-
-
-def departs_like_direct_sound(scene: Scene, reflection: IsolatedReflection) -> bool:
-    """Return whether a reflection leaves its loudspeaker, which faces the receiver, alike."""
-    (source,) = (s.position_m for s in scene.sources if s.name == reflection.source)
-    (receiver,) = (r.position_m for r in scene.receivers if r.name == reflection.receiver)
-    lengths = np.ptp(scene.room.mesh.vertices_m, axis=0)
-    wall = SIDES.index(reflection.wall)
-    mirrored = np.array(receiver)
-    mirrored[wall // 2] = 2.0 * lengths[wall // 2] * (wall % 2) - mirrored[wall // 2]
-    direct, reflected = np.array(receiver) - source, mirrored - source
-    cosine = direct @ reflected / np.linalg.norm(direct) / np.linalg.norm(reflected)
-    return bool(cosine > np.cos(np.radians(ON_AXIS_DEGREES)))
 
 
 def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) -> str:
@@ -494,29 +371,6 @@ def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) ->
     ):
         lines.append(error_row(f"mean T30, {label}", row / t30[1], judged))
     return "\n".join(lines) + f"\n(bands {' '.join(f'{f:g}' for f in bands)} Hz)"
-
-
-def moved(data: Path, step: int, rings: Sequence[str], asked: argparse.Namespace) -> None:
-    """Print which displacement is found where the array or a length is specified wrongly."""
-    for along_m, longer_m in ((0.0, 0.0), (0.3, 0.0), (-0.5, 0.0), (1.0, 0.0), (0.0, 0.2)):
-        scene, measurements, directivities = r3vival(data, "000", step, rings)
-        x, y, z = R3VIVAL_M
-        room = roomfit.shoebox_room((x + longer_m, y, z), dict(zip(SIDES, WALLS, strict=True)))
-        off = np.array([along_m, 0.0, 0.0])
-        sources, receivers = (
-            tuple(replace(p, position_m=p.position_m + off) for p in points)
-            for points in (scene.sources, scene.receivers)
-        )
-        scene = replace(scene, room=room, sources=sources, receivers=receivers)
-        priors = [material_prior(w, asked.scattering, 0.0) for w in WALLS]
-        settings = roomfit.Settings(model=asked.model, seed=asked.seed)
-        result = roomfit.identify(
-            scene, measurements, priors, BANDS, settings=settings, directivities=directivities
-        )
-        found = [f.sentence for f in result.findings if f.code == "displacement-detected"]
-        print(
-            f"array {along_m:+g} m along x, room {longer_m:g} m longer:", *found or ["not doubted"]
-        )
 
 
 def error_row(name: str, ratio: FloatArray, judged: BoolArray) -> str:
@@ -608,44 +462,6 @@ def c50_text(found: Mapping[str, Predicted]) -> str:
     )
 
 
-def picture(name: str, results: Mapping[str, Result], path: Path) -> None:
-    """Draw every wall with its interval in every state."""
-    first = next(iter(results.values()))
-    figure, axes = plt.subplots(
-        2, 3, figsize=(11, 6), sharex=True, sharey=True, layout="constrained"
-    )
-    for m, axis in enumerate(axes.flat):
-        for i, ((state, r), colour) in enumerate(
-            zip(results.items(), ("#0072B2", "#D55E00", "#009E73"), strict=False)
-        ):
-            at = r.bands.centres_hz * 2.0 ** (0.12 * (i - 1))
-            below, above = r.absorption[m] - r.lower95[m], r.upper95[m] - r.absorption[m]
-            axis.errorbar(
-                at,
-                r.absorption[m],
-                np.maximum([below, above], 0.0),
-                fmt="o-",
-                color=colour,
-                capsize=2,
-                markersize=4,
-                linewidth=1,
-                label=f"state {state}",
-            )
-        axis.set_title(first.materials[m])
-        axis.set_xscale("log")
-        axis.set_xticks(first.bands.centres_hz, [f"{f:g}" for f in first.bands.centres_hz])
-        axis.minorticks_off()
-        axis.set_ylim(0, 1)
-    figure.supxlabel("octave band, Hz")
-    figure.supylabel("absorption coefficient, 95 % interval")
-    axes.flat[0].legend()
-    figure.suptitle(name)
-    path.mkdir(parents=True, exist_ok=True)
-    for kind in ("svg", "png"):
-        figure.savefig(path / f"walls_{name}.{kind}")
-    plt.close(figure)
-
-
 def main() -> None:
     """Run the rooms that were asked for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
@@ -659,8 +475,6 @@ def main() -> None:
     parser.add_argument("--scattering", type=float, nargs="+", help=about)
     parser.add_argument("--seed", type=int, default=1, help="of the rays")
     parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="auto")
-    parser.add_argument("--moved", action="store_true", help="nothing but wrong descriptions")
-    parser.add_argument("--out", type=Path, help="folder for pictures")
     asked = parser.parse_args()
     if len(asked.scattering or ()) > 2:
         parser.error("--scattering: one coefficient, or two")
@@ -668,9 +482,6 @@ def main() -> None:
         print("no folder of measurements given: nothing to do")
         return
     settings = roomfit.Settings(model=asked.model, seed=asked.seed)
-    if asked.moved:
-        moved(asked.data, asked.step, asked.rings, asked)
-        return
     for room in asked.room:
         if room == "together":
             known = ("000", "100")
@@ -695,16 +506,11 @@ def main() -> None:
             )
             cases[state] = case
             results[state] = fitted(f"{room} {state}", case, asked.scattering, settings)
-            print(first_reflections(case, results[state], on_axis=room == "r3vival"))
         print()
         for (one, other), walls in SAME[room].items():
             print(f"{one} and {other}, {unchanged(results[one], results[other], walls)}")
-        if room == "r3vival":
-            swap(asked.data, asked.step, asked.rings, results)
-        else:
+        if room != "r3vival":
             print(change_of_state(cases, results))
-        if asked.out is not None:
-            picture(room, results, asked.out)
 
 
 if __name__ == "__main__":

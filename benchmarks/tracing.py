@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numba
@@ -23,14 +21,13 @@ import pyroomacoustics as pra
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from roomfit.base.air import Air
 from roomfit.materials.priors import uniform_scattering
 from roomfit.paper.room import SPEED_OF_SOUND_M_S, paper_scene
 from roomfit.room.mesh import corners_m
-from roomfit.room.scene import Point, Scene
+from roomfit.room.scene import Scene
 from roomfit.tracing.bvh import WAITING, Walls, next_wall, walls_of
 from roomfit.tracing.paths import TraceSettings
-from roomfit.tracing.rays import fibonacci_directions, path_bytes, trace_rays
+from roomfit.tracing.rays import fibonacci_directions, trace_rays
 from simulated_rooms.hall import hall_room
 
 REPEATS = 3
@@ -180,87 +177,11 @@ def _nearest(walls, starts, directions):  # type: ignore[no-untyped-def]
     return distance, wall
 
 
-@dataclass(frozen=True)
-class Load:
-    """One row of a cost table."""
-
-    n_rays: int = 100_000
-    n_triangles: int | None = None  # a hall of so many; None for the paper's room
-    n_receivers: int = 1
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a trace of 0.5 s took."""
-
-    processor_s: float
-    segments: int
-    paths: int
-    path_bytes: int
-    peak_bytes: int
-
-
-def cost(load: Load) -> Cost:
-    """Trace once and measure; the peak is that of all arrays made on the way."""
-    scene = _scene(load)
-    still = uniform_scattering(scene.room.materials, 0.1)
-    settings = TraceSettings(0.5, n_rays=load.n_rays, image_order=-1, receiver_radius_m=0.3)
-    tracemalloc.start()
-    start = time.process_time()
-    trace = trace_rays(scene, settings, still)
-    seconds = time.process_time() - start
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    n = len(trace.paths)
-    segments = trace.n_hits + load.n_rays
-    return Cost(seconds, segments, n, n * path_bytes(scene), peak)
-
-
-def _scene(load: Load) -> Scene:
-    if load.n_triangles is None:
-        paper = paper_scene()
-        room, source, low, high = paper.room, paper.sources[0], [1, 1, 1], [14.5, 9.5, 2.5]
-    else:
-        room = hall_room(load.n_triangles)
-        source, low, high = Point("S", np.array([3.0, 0.1, 1.5])), [2, -6, 5], [30, 6, 11]
-    places = np.random.default_rng(1).uniform(low, high, (load.n_receivers, 3))
-    receivers = tuple(Point(f"R{i}", p) for i, p in enumerate(places))
-    pairs = np.array([(0, i) for i in range(len(receivers))])
-    return Scene(room, (source,), receivers, pairs, Air(attenuation="none"))
-
-
-def cost_tables() -> None:
-    """Print time and memory against rays, triangles and receivers."""
-    rays = [10**4, 10**5, 10**6]
-    triangles = [12, 112, 1012, 12_012, 100_012]
-    receivers = [1, 3, 10, 30, 100, 300, 1000]
-    tables = (
-        ("rays (the paper's room, one receiver)", [(n, Load(n_rays=n)) for n in rays]),
-        ("triangles (hall, 100,000 rays)", [(n, Load(n_triangles=n)) for n in triangles]),
-        (
-            "receivers (the paper's room, 20,000 rays)",
-            [(n, Load(n_rays=20_000, n_receivers=n)) for n in receivers],
-        ),
-    )
-    print("\n## Cost of `trace_rays`: 0.5 s, radius 0.3 m, s = 0.1; building the tree is included")
-    for title, rows in tables:
-        print(f"\n| {title} | CPU seconds | million segments/s | paths | paths MB | peak MB |")
-        print("|---|---|---|---|---|---|")
-        cost(rows[0][1])  # loads the compiled code
-        for number, load in rows:
-            c = cost(load)
-            print(
-                f"| {number:,} | {c.processor_s:.2f} | {c.segments / c.processor_s / 1e6:.1f} "
-                f"| {c.paths:,} | {c.path_bytes / 1e6:.1f} | {c.peak_bytes / 1e6:.0f} |"
-            )
-
-
 def main() -> None:
     """Print all tables."""
     argparse.ArgumentParser(description="Speed and cost of tracing rays.").parse_args()
     paper_room_table()
     hall_table()
-    cost_tables()
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""What to hang where: a room whose walls really were turned, parts of walls, and the time it takes.
+"""What to hang where: a room whose walls really were turned, and parts of walls.
 
     python benchmarks/treat.py DATA [--result FILE] [--at-most SECONDS]
-    python benchmarks/treat.py --parts [--out FOLDER]
-    python benchmarks/treat.py --speed
+    python benchmarks/treat.py --parts
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others). Its
 states 000 and 100 are fitted together; asked is which walls of 000 to turn, as few as possible, so
@@ -10,8 +9,7 @@ that the mean T30 of 500 to 2000 Hz is at most so long. What the answer and the 
 predicted to do stands beside Sabine's formula with the two measured states, and beside state R, of
 which nothing was read: its right wall is turned. `--result` takes the result.json of an earlier
 fit. `--parts` compares a ceiling that is covered in part, as the mean of its absorption by area,
-with a full trace of the ceiling divided. `--speed` times 4 surfaces with 6 products, and 20 with
-20.
+with a full trace of the ceiling divided.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
 
 import roomfit
 from known_changes import BANDS, WALLS, fitted, r3vival, r3vival_together
@@ -30,7 +27,6 @@ from roomfit.base.polygon import Face
 from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
-from roomfit.predict.other_walls import PreparedRoom
 from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
@@ -161,32 +157,6 @@ def posterior(materials: tuple[str, ...], absorption: FloatArray) -> AbsorptionP
     return AbsorptionPosterior(materials, bands, absorption, low, high, covariance)
 
 
-def speed() -> None:
-    """Print how long 4 surfaces with 6 products take, and 20 with 20, after the trace."""
-    for n_surfaces, n_products in ((4, 6), (20, 20)):
-        room = strips(n_surfaces)
-        rng = np.random.default_rng(2)
-        products = [
-            Product(
-                f"P{i}", rng.uniform(0.1, 0.95, 6), np.full(6, 0.05), rng.uniform(10, 90),
-                rng.uniform(0.5, 1.5),
-            )
-            for i in range(n_products)
-        ]  # fmt: skip
-        names = room.absorption.materials[:n_surfaces]
-        surfaces = [Surface(name, forbidden_m2=0.5) for name in names]
-        before = mean_values(room, room.absorption.absorption[None])[0, T30]
-        targets = [Target("T30_s", high=float(0.8 * before[2:5].max()))]
-        began, cpu = time.perf_counter(), time.process_time()
-        assert isinstance(room, PreparedRoom)
-        answer = treat(room, surfaces, products, targets, number=3)
-        print(
-            f"{n_surfaces} surfaces x {n_products} products, {len(room.few)} pairs, 6 bands: "
-            f"{time.perf_counter() - began:.1f} s ({time.process_time() - cpu:.1f} CPU s), "
-            f"met: {answer.is_met}, costs {[round(a.cost) for a in answer.arrangements]}"
-        )
-
-
 def strips(n: int) -> ChangingRoom:
     """Return a prepared box, of more than four surfaces with a ceiling of so many strips."""
     scene = box((9.0, 6.0, 3.2), 8)
@@ -228,7 +198,7 @@ PARTS = (
 OWN, COVER = 0.08, 0.75
 
 
-def parts(out: Path | None) -> None:
+def parts() -> None:
     """Print a ceiling covered in part as the mean by area and divided, and draw it."""
     lengths_m = (7.0, 5.0, 3.0)
     rows = []
@@ -260,22 +230,6 @@ def parts(out: Path | None) -> None:
             f"at the {where:<8} {100 * part:6.0f} %   {mean[T30]:.3f} {exact[T30]:.3f}"
             f"{'':<29}" + "  ".join(f"{s:+.1f}" for s in steps)
         )
-    if out is not None:
-        figure, axes = plt.subplots(figsize=(7.0, 3.2), layout="constrained")
-        at = np.arange(len(rows))
-        for i, (label, colour) in enumerate(
-            zip(("T30", "EDT", "C50"), ("#0072B2", "#D55E00", "#009E73"), strict=True)
-        ):
-            axes.bar(at + 0.25 * (i - 1), [s[i] for _, s in rows], 0.23, color=colour, label=label)
-        axes.axhline(0.0, color="black", lw=0.8)
-        axes.set_xticks(at, [name.replace(" at", "\nat") for name, _ in rows])
-        axes.set_ylabel("mean by area minus\ndivided surface (jnd)")
-        axes.legend(frameon=False, ncols=3)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-        out.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out / "treat_parts.png", dpi=120)
-        plt.close(figure)
 
 
 def main() -> None:
@@ -285,15 +239,11 @@ def main() -> None:
     parser.add_argument("--result", type=Path, help="result.json of the fit of 000 and 100")
     parser.add_argument("--at-most", type=float, default=0.57, help="s")
     parser.add_argument("--parts", action="store_true")
-    parser.add_argument("--speed", action="store_true")
-    parser.add_argument("--out", type=Path, help="folder for the picture of --parts")
     asked = parser.parse_args()
     if asked.data is not None:
         turned_walls(asked.data, asked.result, asked.at_most)
     if asked.parts:
-        parts(asked.out)
-    if asked.speed:
-        speed()
+        parts()
 
 
 if __name__ == "__main__":
