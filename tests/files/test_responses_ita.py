@@ -92,28 +92,6 @@ def numbers(name: bytes, values: np.ndarray) -> bytes:
     return matrix(6, (rows, columns), name, element(9, values.astype("<f8").tobytes("F")))
 
 
-def test_coordinates_which_are_objects_are_passed_over(tmp_path):
-    """Of class itaCoordinates in the toolbox's files, in a form that only MATLAB understands."""
-    samples = decay()[:, None]
-    opaque = element(6, struct.pack("<II", 17, 0)) + element(1, b"") + element(1, b"MCOS")
-    opaque += element(1, b"itaCoordinates") + numbers(b"", np.ones((6, 1)))
-    text = matrix(4, (1, 4), b"", element(16, b"time"))
-    fields = [element(14, opaque), text, numbers(b"", samples)]
-    fields += [numbers(b"", np.full((1, 1), 48_000.0)), element(14, b"")]
-    names = [b"channelCoordinates", b"domain", b"data", b"samplingRate", b"userData"]
-    listed = b"".join(name.ljust(32, b"\0") for name in names)
-    size = element(5, struct.pack("<i", 32))
-    whole = matrix(2, (1, 1), b"ITA_TOOLBOX_AUDIO_OBJECT", size, element(1, listed), *fields)
-    at_root = element(14, opaque.replace(element(1, b""), element(1, b"place")))
-    path = tmp_path / "a.ita"
-    # behind them MATLAB keeps a variable without a name, to which objects refer
-    rest = at_root + numbers(b"", np.ones((8, 1)))
-    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + whole + rest)
-    response, _ = read_response(ResponseSpec(path))
-    np.testing.assert_array_equal(response.pressure, samples[:, 0])
-    assert response.sampling_rate_hz == 48_000.0
-
-
 def test_fields_of_a_structure_that_matlab_itself_wrote_are_read():
     """MATLAB 7.4's, of scipy's own tests."""
     path = DATA / "teststruct_7.4_GLNX86.mat"
@@ -124,23 +102,6 @@ def test_fields_of_a_structure_that_matlab_itself_wrote_are_read():
     np.testing.assert_allclose(found["teststruct.doublefield"], expected, rtol=1e-15)
     assert found["teststruct.stringfield"] == "text 'Rats live on no evil star.'"
     assert found["teststruct.complexfield"] == "complex numbers"
-
-
-def test_every_file_of_matlab_at_hand_is_read_or_refused_in_words():
-    """Versions 5 to 7.4: nested structures, cells, functions, objects, sparse and empty arrays."""
-    files = [p for p in sorted(DATA.glob("*.mat")) if p.read_bytes()[126:128] in (b"IM", b"MI")]
-    if not files:
-        pytest.skip("scipy came without its tests")
-    refused = []
-    for path in files:
-        try:
-            mat_variables(path.read_bytes())
-        except ValueError:
-            refused.append(path.name)
-    damaged = ("bad_", "broken_", "corrupted_", "malformed", "miuint32_for")  # on purpose
-    # HDF5, for another reader
-    wrong = [name for name in refused if not name.startswith((*damaged, "testhdf5"))]
-    assert len(files) > 50 and wrong == []
 
 
 def test_a_field_of_a_structure_is_a_variable_of_a_campaign(tmp_path):

@@ -369,14 +369,6 @@ def test_what_is_no_closed_room_is_refused_in_words(tmp_path, content, words):
         room_of(tmp_path, content)
 
 
-def test_a_first_campaign_is_drafted_from_a_scan(tmp_path):
-    (tmp_path / "room.json").write_text(json.dumps(scan()))
-    text = draft_campaign(RoomSpec(file=tmp_path / "room.json"), {}, folder=tmp_path)
-    assert 'file = "room.json"\nunit = "m"  # by the format of the file' in text
-    for name in ("wall", "door", "window", "floor", "ceiling"):
-        assert f'[materials."{name}"]' in text
-
-
 # Scenes.
 
 
@@ -425,17 +417,3 @@ def test_a_scene_that_is_no_scan_or_leads_elsewhere_is_refused(tmp_path):
     (tmp_path / "cut.usdz").write_bytes(scan_usdz()[:900])
     with pytest.raises(InputError, match="USDZ file cannot be read"):
         read_room(RoomSpec(file=tmp_path / "cut.usdz"))
-
-
-def test_without_the_library_a_scene_is_refused_and_the_json_named(tmp_path, monkeypatch):
-    (tmp_path / "pxr.py").write_text("raise ModuleNotFoundError('No module named pxr')")
-    (tmp_path / "room.usdz").write_bytes(b"PK")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(InputError, match=r"(?s)usd-core, which is not.*roomfit\[usd\].*JSON"):
-        read_room(RoomSpec(file=tmp_path / "room.usdz"))
-
-
-@pytest.mark.parametrize("room", [{"shoebox": (6.0, 5.0, 3.0)}, {"file": Path("room.obj")}])
-def test_which_room_of_several_is_refused_where_there_is_one_alone(room: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"only a building model and a scan(.|\n)*leave space out"):
-        RoomSpec(**room, space="kitchen")

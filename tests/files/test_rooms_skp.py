@@ -133,10 +133,3 @@ def test_any_damage_of_a_model_is_a_room_or_a_refusal(tmp_path):
             read_room(RoomSpec(file=written(tmp_path, bytes(altered))))
         except RoomfitError:
             continue
-
-
-def test_without_the_library_other_formats_are_named(tmp_path, monkeypatch):
-    (tmp_path / "openskp.py").write_text("raise ModuleNotFoundError('No module named openskp')")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(InputError, match=r"(?s)openskp, which is not.*roomfit\[skp\].*COLLADA"):
-        read_model(RoomSpec(file=written(tmp_path, b"x")))

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from random import Random
 
 import pytest
 
@@ -17,6 +18,17 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from corpus import corpus  # noqa: E402
+from examples import examples  # noqa: E402
+from fuzz import readers  # noqa: E402
+from mutations import damaged  # noqa: E402
+
+from roomfit.base.errors import RoomfitError  # noqa: E402
+
+# read in the process itself, within milliseconds
+QUICK = (
+    *("box.obj", "text.ply", "big.ply", "box.geo", "scan.json", "text.dxf", "binary.dxf"),
+    *("corners.csv", "planes.csv", "response.wav", "response.npy", "rew.txt"),
+)
 
 
 def fuzz(*arguments: str) -> str:
@@ -37,3 +49,21 @@ def test_what_once_failed_and_damaged_files_of_every_format_are_read_or_refused(
     """In one process, which takes most of the time to start."""
     printed = fuzz("--corpus", "--cases", "100", "--seed", "20")
     assert printed.startswith(f"{len(corpus()) + 100} cases") and "'failed'" not in printed
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_damaged_file_is_read_or_refused_in_words(seed, quick_readers):
+    folder, known = quick_readers
+    for name in QUICK:
+        path = folder / name
+        path.write_bytes(damaged(name, examples()[name], Random(seed)))
+        try:
+            known[name](path)
+        except RoomfitError as error:
+            assert 0 < len(str(error)) < 4000, name
+
+
+@pytest.fixture(scope="module")
+def quick_readers(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("damaged")
+    return folder, readers(folder)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.files.inputs import check_room
 from roomfit.files.rooms import read_room
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.report.check import room_blocks
 from roomfit.report.text import text as shown
-from roomfit.room.mesh import refuse
-from roomfit.room.scene import Point, position_findings
 from small_campaign import run_command
 
 BOX = """usemtl plaster
@@ -86,38 +79,3 @@ def test_approximate_volumes_and_sheets_are_said_to_be(tmp_path):
     assert check.traceable
     assert not check.closed
     assert "(approximate: the mesh is not closed)" in shown(room_blocks("box", check))
-
-
-def test_a_missing_unit_is_one_message_and_no_traceback(tmp_path):
-    """The whole program, as a user starts it."""
-    command = [sys.executable, "-m", "roomfit", "check", str(box_file(tmp_path))]
-    result = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "100"}
-    )
-
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith("the unit of the room file is not known\n  where ")
-    assert "Traceback" not in result.stderr
-
-
-def test_points_outside_in_walls_and_upon_each_other_are_faults_with_their_place():
-    """A 5 x 4 x 3 m box: one good pair, one of each fault."""
-    room, _ = read_room(RoomSpec(shoebox=(5, 4, 3)))
-    sources = (Point("S1", np.array([1.0, 1, 1])), Point("S2", np.array([6.0, 1, 1])))
-    receivers = (
-        Point("R1", np.array([4.0, 3, 1])),
-        Point("R2", np.array([2.0, 2, 2.996])),
-        Point("R3", np.array([1.0, 1, 1.004])),
-    )
-    assert not position_findings(room, sources[:1], receivers[:1])
-
-    findings = position_findings(room, sources, receivers)
-
-    assert [f.code for f in findings] == [
-        Code.POSITION_OUTSIDE, Code.POSITION_IN_WALL, Code.SOURCE_AT_RECEIVER,
-    ]  # fmt: skip
-    with pytest.raises(InputError, match=r"source 'S2' stands outside(.*\n)*.*1 m from .*'east'"):
-        refuse(findings)
-    assert "4.0 mm from surface 'ceiling'" in findings[1].sentence
-    assert "4.0 mm apart" in findings[2].sentence

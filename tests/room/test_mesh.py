@@ -13,7 +13,7 @@ from boxes_in_space import box_with_doors
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.base.polygon import Face, Surface
-from roomfit.room.build import build_mesh, listed, oriented
+from roomfit.room.build import build_mesh, oriented
 from roomfit.room.check import examine, find_leaks
 from roomfit.room.inside import distance_to_walls_m, interior_points, is_inside
 from roomfit.room.mesh import (
@@ -30,7 +30,6 @@ from roomfit.room.mesh import (
     surface_area_m2,
     unmatched,
     volume_m3,
-    weld,
 )
 
 LENGTHS = (5.0, 4.0, 3.0)
@@ -177,13 +176,6 @@ def test_corners_that_are_a_rounding_apart_are_one():
     assert examine(mesh)[0]
 
 
-def test_welding_keeps_the_earliest_point_and_leaves_others_alone():
-    """Points 0.05 mm apart join, those 1 mm apart do not."""
-    points = np.array([[1.0, 0, 0], [0, 0, 0], [5e-5, 0, 0], [1e-3, 0, 0], [1.0, 0, 0]])
-
-    assert weld(points).tolist() == [0, 1, 1, 3, 0]
-
-
 def test_points_are_inside_a_rotated_box_where_their_coordinates_say_so():
     """2,000 random points, half of them outside."""
     rng = np.random.default_rng(7)
@@ -278,18 +270,6 @@ def test_a_face_without_area_is_a_fault_with_its_place():
             refuse(findings)
 
 
-def test_a_face_without_area_that_fills_a_seam_is_left_out():
-    """The west wall is two pieces and a face closes the T-junction, as triangulators do it."""
-    faces = [f for f in box_faces() if f.surface.name != "west"]
-    vertices = np.concatenate([BOX, [[0, 1, 0], [0, 1, 3]]])
-    halves = [Face((0, 4, 9, 8), WALL), Face((8, 9, 6, 2), WALL), Face((0, 8, 2), WALL)]
-
-    mesh, findings = build_mesh(vertices, [*faces, *halves])
-
-    assert codes(findings) == [Code.SEAM_FACES]
-    assert examine(mesh)[0]
-
-
 def test_repeated_and_back_to_back_faces_are_named():
     """The ceiling once more in the same and once in the opposite direction."""
     ceiling = box_faces()[5]
@@ -337,21 +317,6 @@ def test_a_moebius_strip_has_one_side():
     assert Code.SURFACE_NOT_ORIENTABLE in codes(findings)
 
 
-def test_a_flat_floor_is_no_room():
-    """No volume, no inside, not closed."""
-    mesh, _ = build_mesh(BOX, box_faces()[4:5])
-
-    assert set(codes(examine(mesh)[2])) == {Code.NO_INTERIOR, Code.NO_VOLUME, Code.NOT_CLOSED}
-
-
-def test_a_box_in_millimetres_taken_for_metres_makes_one_ask_for_the_unit():
-    """5000 x 4000 x 3000 m."""
-    found = examine(shoebox_mesh(np.array(LENGTHS) * 1000))[2]
-
-    assert codes(found) == [Code.UNUSUAL_SIZE]
-    assert "is the unit right?" in found[0].sentence
-
-
 BOX_TURN, BOX_AT = rotation(8), np.array([-3.0, 7.0, 0.4])
 DOORS = {1: (0.2, 0.5, 0.0, 0.7), 3: (0.4, 0.6, 0.3, 0.6)}
 
@@ -385,12 +350,6 @@ def test_a_box_along_the_axes_has_them_to_the_last_bit() -> None:
     np.testing.assert_array_equal(box.axes, np.eye(3))
     np.testing.assert_array_equal(box.origin_m, np.zeros(3))
     np.testing.assert_array_equal(box.lengths_m, (6.1, 4.7, 2.8))
-
-
-def test_rounded_to_a_hundredth_of_a_millimetre_a_box_is_one_and_to_a_centimetre_none() -> None:
-    mesh = box_with_doors((6.1, 4.7, 2.8), DOORS, rotation(3), BOX_AT)
-    assert box_of(replace(mesh, vertices_m=np.round(mesh.vertices_m, 5))) is not None
-    assert box_of(replace(mesh, vertices_m=np.round(mesh.vertices_m, 2))) is None
 
 
 def panelled_box() -> Mesh:
@@ -486,22 +445,6 @@ def test_a_box_that_stands_elsewhere_or_has_two_surfaces_in_a_wall_is_no_shoebox
         assert as_shoebox(other) is None and box_of(other) is not None
 
 
-@pytest.mark.parametrize(
-    ("corners", "words"),
-    [
-        ((0, 4, 8), r"does not exist\n.*face 7, surface 'wall'\n.*corner 9\n.*1 to 8"),
-        ((0, -1, 4), r"does not exist\n.*face 7, surface 'wall'\n.*corner 0\n.*1 to 8"),
-        ((0, 4), r"fewer than three corners\n.*face 7, surface 'wall'\n.*2"),
-    ],
-)
-def test_a_face_of_a_corner_that_is_not_there_is_refused_with_its_place(corners, words):
-    """The first that is none on either side; a box has eight corners and six faces."""
-    with pytest.raises(InputError, match=words):
-        build_mesh(BOX, [*box_faces(), Face(corners, WALL)])
-    # the last corner there is, and three of them, are enough
-    build_mesh(BOX, [*box_faces()[:-1], Face((4, 5, 7), WALL), Face((4, 7, 6), WALL)])
-
-
 def test_faces_that_are_doubtful_are_told_from_their_limits_on_and_others_kept():
     """A wall that is folded across: 1 mm is the most that is flat, 1 cm the most that is cut."""
     for off_m, expected in (
@@ -519,34 +462,3 @@ def test_faces_that_are_doubtful_are_told_from_their_limits_on_and_others_kept()
         assert codes(findings) == expected
         for found in findings:
             assert found.evidence["off_plane_m"] == pytest.approx(off_m, rel=1e-3)
-
-
-def test_a_bow_tie_among_the_faces_is_a_finding_and_its_triangles_stay():
-    vertices = np.concatenate([BOX, [[1, 1, 1], [4, 3, 1], [4, 1, 1], [1, 2, 1]]])
-    bow = Face((8, 9, 10, 11), Surface("bow", None, "felt"))
-    mesh, findings = build_mesh(vertices, [*box_faces(), bow])
-    assert codes(findings) == [Code.SELF_INTERSECTING_POLYGON]
-    assert "1 face is" in findings[0].sentence and "'bow' near" in findings[0].sentence
-    assert [s.name for s in mesh.surfaces][-1] == "bow"
-
-
-def test_of_many_places_the_first_are_listed_and_the_others_counted():
-    spots = [(f"s{i}", "(0, 0, 0) m") for i in range(9)]
-    text = listed(spots)
-    n = text.count("near")
-    assert text.endswith(f" and {9 - n} more") and "'s0' near (0, 0, 0) m" in text
-    assert listed(spots[:n]).count("near") == n and "more" not in listed(spots[:n])
-
-
-def test_a_room_of_faces_without_area_alone_is_refused_with_their_places():
-    flat = Face((0, 0, 1), Surface("sliver", None, "glass"))
-    with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
-        build_mesh(BOX, [flat])
-    with pytest.raises(InputError, match=r"no faces(.|\n)*none with an area, of 0"):
-        build_mesh(BOX, [])
-    for x in (-1e6, 1e6):
-        vertices = np.concatenate([BOX, [[x, 0.0, 0.0]]])
-        build_mesh(vertices, box_faces())
-        vertices[8, 0] = np.nextafter(x, 2.0 * x)
-        with pytest.raises(InputError, match="vertices is out of range"):
-            build_mesh(vertices, box_faces())
