@@ -162,13 +162,7 @@ def design(
     settings = Settings() if settings is None else settings
     after_fit = absorption is not None
     known = _prior_information(scene, materials, bands, absorption, options, settings)
-    distance_m = options.source_distance_m
-    if distance_m is None:
-        decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
-        volume, speed = volume_m3(scene.room.mesh), speed_of_sound_m_s(scene.air)
-        # 2 sqrt(V / (c T)), ISO 3382-1:2009, 4.3.2 and ISO 3382-2:2008, 4.3.3: nearer, direct sound
-        # is too strong for a decay to be read from
-        distance_m = float(2.0 * np.sqrt(volume / (speed * decay_s)))
+    distance_m = _source_distance_m(scene, options, known)
     candidates, rules, few = design_candidates(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
@@ -187,10 +181,7 @@ def design(
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
-    of_fit: tuple[Finding, ...] = ()
-    if absorption is not None:
-        of_fit = result_doubts(absorption, scene.room.findings, "design")
-        of_fit = (*of_fit, *absorption.findings)
+    of_fit = _doubts_of_fit(scene, absorption)
     # after a fit one more pair stands beside others, whose positions are not known here
     used = np.array([] if after_fit else [*rules.fixed, *chosen], dtype=np.int64)
     doubts = (*doubts, *plane_findings(select_pairs(candidates, used)))
@@ -243,6 +234,24 @@ def _prior_information(
             hint="use a result of these bands, or set from_hz and to_hz to its own",
         )
     return information_from_fit(complete_priors(names, materials, own), absorption)
+
+
+def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInformation) -> float:
+    """Return the least distance of a receiver from its source, where unspecified 2 sqrt(V / (c T)).
+
+    ISO 3382-1:2009, 4.3.2 and ISO 3382-2:2008, 4.3.3: nearer, direct sound is too strong.
+    """
+    if options.source_distance_m is not None:
+        return options.source_distance_m
+    decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
+    volume, speed = volume_m3(scene.room.mesh), speed_of_sound_m_s(scene.air)
+    return float(2.0 * np.sqrt(volume / (speed * decay_s)))
+
+
+def _doubts_of_fit(scene: Scene, absorption: AbsorptionPosterior | None) -> tuple[Finding, ...]:
+    if absorption is None:
+        return ()
+    return (*result_doubts(absorption, scene.room.findings, "design"), *absorption.findings)
 
 
 def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
