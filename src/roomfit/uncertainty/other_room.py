@@ -69,9 +69,7 @@ def room_posterior(
     omnidirectional, with a finding.
     """
     names, volumes_m3 = tuple(k.name for k in priors), object_volumes_m3(priors)
-    _check_known(absorption, priors, replaced)
-    for name, own_m3 in volumes_m3.items():
-        absorption = _in_volume(absorption, name, own_m3)
+    absorption = _known_here(absorption, priors, replaced)
     theirs = [i for i, n in enumerate(absorption.materials) if n in names]
     own = [names.index(absorption.materials[i]) for i in theirs]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
@@ -177,9 +175,10 @@ def _in_volume(known: AbsorptionPosterior, name: str, own_m3: float) -> Absorpti
     )
 
 
-def _check_known(
+def _known_here(
     absorption: AbsorptionPosterior, priors: Sequence[MaterialPrior], replaced: Sequence[str]
-) -> None:
+) -> AbsorptionPosterior:
+    """Refuse materials of which nothing is known; areas of objects in the room's volume."""
     known = {*absorption.materials, *replaced}
     missing = [k.name for k in priors if k.name not in known and k.known is None]
     if missing:
@@ -189,6 +188,9 @@ def _check_known(
             needed="the same names in both, or absorption = [...] in the campaign",
             hint=f"add absorption to [materials.{missing[0]}], or --set {missing[0]}=...",
         )
+    for name, volume_m3 in object_volumes_m3(priors).items():
+        absorption = _in_volume(absorption, name, volume_m3)
+    return absorption
 
 
 def _sources_as_found(
