@@ -174,9 +174,7 @@ def design(
     )
     if absorption is not None and absorption.chi2_reduced is not None:
         matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
-    number = np.arange(len(candidates.pairs))
-    sharing = {"per-source": candidates.pairs[:, 0], "per-file": number}
-    pairs = PairInformation(matrices, sharing.get(options.level, np.full(number.size, -1)))
+    pairs = PairInformation(matrices, _shared_gains(candidates, options))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
@@ -246,6 +244,13 @@ def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInforma
     decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
     volume, speed = volume_m3(scene.room.mesh), speed_of_sound_m_s(scene.air)
     return float(2.0 * np.sqrt(volume / (speed * decay_s)))
+
+
+def _shared_gains(scene: Scene, options: DesignOptions) -> IntArray:
+    """Return the number of each pair's unknown gain, -1 where levels are known."""
+    number = np.arange(len(scene.pairs))
+    sharing = {"per-source": scene.pairs[:, 0], "per-file": number}
+    return np.asarray(sharing.get(options.level, np.full(number.size, -1)))
 
 
 def _doubts_of_fit(scene: Scene, absorption: AbsorptionPosterior | None) -> tuple[Finding, ...]:
