@@ -229,15 +229,8 @@ def tail_of(
 # ISO 3382-1:2009, table A.1: 5 % of EDT (taken for T20 and T30 as well), 1 dB of C80 (and C50) and
 # G, 0.05 of D50, 10 ms of TS; Bradley, Reich and Norcross, Applied Acoustics 58, 99-108 (1999):
 # 0.03 of STI.
-_RELATIVE = {"T20_s": 0.05, "T30_s": 0.05, "EDT_s": 0.05}
-_ABSOLUTE = {
-    "C50_dB": 1.0,
-    "C80_dB": 1.0,
-    "G_dB": 1.0,
-    "D50_percent": 5.0,
-    "TS_ms": 10.0,
-    "STI": 0.03,
-}
+_JND_OF_TIMES = 0.05  # relative
+_JND = {"C50_dB": 1.0, "C80_dB": 1.0, "G_dB": 1.0, "D50_percent": 5.0, "TS_ms": 10.0, "STI": 0.03}
 
 
 def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -271,14 +264,14 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     0.1
     """
     what = "no just noticeable difference is known for this parameter"
-    check_known(what, parameter, (*_RELATIVE, *_ABSOLUTE))
-    if parameter in _RELATIVE:
-        return np.asarray(_RELATIVE[parameter] * np.asarray(values))
-    return np.full(np.shape(values), _ABSOLUTE[parameter])
+    check_known(what, parameter, (*FIT_RANGES_DB, *_JND))
+    if parameter in FIT_RANGES_DB:
+        return np.asarray(_JND_OF_TIMES * np.asarray(values))
+    return np.full(np.shape(values), _JND[parameter])
 
 
-_PLAUSIBILITY_LEAST_RANGE_DB = 15.0
-_N_BLOCKS = 12
+_LEAST_RANGE_DB = 15.0
+_N_BLOCKS, _LEAST_BLOCK = 12, 64
 # No excitation is shorter; in a dry room nearly all energy arrives within a few ms.
 _SHORTEST_EXCITATION_S = 0.05
 # Bins of a spectrum about a line of hum, by how much it exceeds their median, and how far it leaks.
@@ -294,26 +287,26 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     of the other half (an exponential decay: 0.28), and no peak exceeds its mean by 16 dB. Hum is
     left out first, since it neither climbs nor decays: a response with hum is a response.
     """
-    pressure = without_hum(response.pressure)
+    pressure = _without_hum(response.pressure)
     cumulative = np.cumsum(pressure**2)
     begin, middle, end = np.searchsorted(cumulative, cumulative[-1] * np.array([0.05, 0.5, 0.95]))
     loud = pressure[begin : end + 1]
-    if len(loud) < _SHORTEST_EXCITATION_S * response.sampling_rate_hz:
+    length_s = len(loud) / response.sampling_rate_hz
+    if length_s < _SHORTEST_EXCITATION_S:
         return
     crest = float(np.max(loud**2) / np.mean(loud**2))
-    lasting = bool(middle - begin > 0.6 * (end - middle)) and crest < 40.0
-    if not (lasting or _climbs(loud)):
-        return
-    raise InputError(
-        "this looks like a recording of the excitation, not like an impulse response",
-        where=where,
-        found=f"sound that lasts {len(loud) / response.sampling_rate_hz:.2f} s without decaying",
-        needed="the response after deconvolution: one onset, then a decay",
-        hint='name the sweep as it was played: excitation = "sweep.wav" under [defaults]',
-    )
+    lasting = middle - begin > 0.6 * (end - middle) and crest < 40.0
+    if lasting or _climbs(loud):
+        raise InputError(
+            "this looks like a recording of the excitation, not like an impulse response",
+            where=where,
+            found=f"sound that lasts {length_s:.2f} s without decaying",
+            needed="the response after deconvolution: one onset, then a decay",
+            hint='name the sweep as it was played: excitation = "sweep.wav" under [defaults]',
+        )
 
 
-def without_hum(pressure: FloatArray) -> FloatArray:
+def _without_hum(pressure: FloatArray) -> FloatArray:
     """Return samples without their mean and without lines of their spectrum, shape (n_samples,).
 
     A line stands 20 dB above the median of the 31 magnitudes about it, in the spectrum under a Hann
@@ -330,39 +323,34 @@ def without_hum(pressure: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(np.where(is_line, keep, 1.0) * spectrum, centred.size))
 
 
-def check_decay_range(curve: DecayCurve, where: str | None = None) -> None:
-    """Refuse a response of which no band has 15 dB of decay above its noise and before its end.
-
-    Single bands without T20 are reported by `range_findings` instead.
-
-    Raises
-    ------
-    InputError
-        With the cause: the file is cut short, or noise masks the decay.
-    """
-    deepest = int(np.argmax(curve.usable_db))
-    if curve.usable_db[deepest] >= _PLAUSIBILITY_LEAST_RANGE_DB:
-        return
-    cut = not curve.noise_reached[deepest]
-    raise InputError(
-        "the decay is cut short" if cut else "the decay drowns in noise",
-        where=where,
-        found=f"{curve.usable_db[deepest]:.0f} dB of decay at "
-        f"{curve.bands.centres_hz[deepest]:g} Hz, and no more in any other band",
-        needed=f"at least {_PLAUSIBILITY_LEAST_RANGE_DB:g} dB in some band, 25 dB for T20",
-        hint="give the whole response" if cut else "measure with a longer sweep, or louder",
-    )
-
-
 def _climbs(loud: FloatArray) -> bool:
     size = len(loud) // _N_BLOCKS
-    if size < 64:
+    if size < _LEAST_BLOCK:
         return False
     power = np.abs(np.fft.rfft(loud[: size * _N_BLOCKS].reshape(_N_BLOCKS, size), axis=1)) ** 2
     cumulative = np.cumsum(power, axis=1)
     median = np.argmax(cumulative >= 0.5 * cumulative[:, -1:], axis=1) + 0.5
     rises = int(np.sum(np.diff(median) > 0.0))
     return rises >= _N_BLOCKS - 3 and bool(median[-1] > 4.0 * median[0])
+
+
+def check_decay_range(curve: DecayCurve, where: str | None = None) -> None:
+    """Refuse a response of which no band has 15 dB of decay above its noise and before its end.
+
+    With the cause, an `InputError`: the file is cut short, or noise masks the decay. Single bands
+    without T20 are reported by `range_findings` instead.
+    """
+    deepest = int(np.argmax(curve.usable_db))
+    cut, range_db = not curve.noise_reached[deepest], curve.usable_db[deepest]
+    if range_db < _LEAST_RANGE_DB:
+        raise InputError(
+            "the decay is cut short" if cut else "the decay drowns in noise",
+            where=where,
+            found=f"{range_db:.0f} dB of decay at {curve.bands.centres_hz[deepest]:g} Hz, and no "
+            "more in any other band",
+            needed=f"at least {_LEAST_RANGE_DB:g} dB in some band, 25 dB for T20",
+            hint="give the whole response" if cut else "measure with a longer sweep, or louder",
+        )
 
 
 PARAMETER_NAMES: tuple[ParameterName, ...] = get_args(ParameterName)

@@ -17,7 +17,6 @@ References
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -29,50 +28,8 @@ from scipy.sparse import csr_array
 from roomfit.base.arguments import read_only
 from roomfit.base.bands import BandKind, Bands
 from roomfit.base.errors import InputError
-from roomfit.base.kernels import kernel
-from roomfit.base.typing import FloatArray, IntArray
+from roomfit.base.typing import FloatArray
 from roomfit.signals.response import ImpulseResponse, padded
-
-
-@kernel()
-def _interpolated(table: FloatArray, place: float) -> float:
-    """Return the table between two entries by a straight line; beyond its ends, its ends."""
-    last = len(table) - 1
-    if place <= 0.0:
-        return float(table[0])
-    if place >= last:
-        return float(table[last])
-    step = math.floor(place)
-    return float(table[step] + (place - step) * (table[step + 1] - table[step]))
-
-
-@kernel()
-def differences_over_windows(
-    edges_s: FloatArray,
-    delays_s: FloatArray,
-    first: IntArray,
-    pointers: IntArray,
-    table: FloatArray,
-    steps_per_s: float,
-    values: FloatArray,
-    columns: IntArray,
-) -> None:
-    """Fill values and columns, (n_entries,), of a sparse matrix of windows and delays, row by row.
-
-    An entry is the table, with time 0 in its middle, at the window's end less that at its
-    beginning, both after the delay. Window w has the delays from ``first[w]`` on, and the entries
-    ``pointers[w]:pointers[w + 1]``.
-    """
-    middle = 0.5 * (len(table) - 1)
-    for w in range(len(first)):
-        begin = edges_s[w] * steps_per_s + middle
-        end = edges_s[w + 1] * steps_per_s + middle
-        for e in range(pointers[w], pointers[w + 1]):
-            d = first[w] + e - pointers[w]
-            late = delays_s[d] * steps_per_s
-            values[e] = _interpolated(table, end - late) - _interpolated(table, begin - late)
-            columns[e] = d
-
 
 # Ringing beyond this many periods of the centre frequency, times the number of bands per octave,
 # contains less than 1e-11 of a band's energy (measured; it falls with the fifth power).
@@ -310,18 +267,24 @@ def _banded(
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
     edges = np.asarray(edges_s, dtype=np.float64)
-    centre = float(kernel.centres_hz[band])
     span_s = spreading_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
-    last = np.searchsorted(delays_s, edges[1:] + span_s)
+    counts = np.searchsorted(delays_s, edges[1:] + span_s) - first
     # of 32 bits, or the columns would become 64
-    pointers = np.concatenate(([0], np.cumsum(last - first))).astype(np.int32)
-    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int32)
-    delays, steps_per_s = np.array(delays_s), centre * _STEPS_PER_PERIOD
-    differences_over_windows(
-        edges, delays, first, pointers, np.array(table), steps_per_s, values, columns
-    )
-    return csr_array((values, columns, pointers), shape=(len(edges) - 1, len(delays_s)))
+    pointers = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
+    window = np.repeat(np.arange(counts.size), counts)
+    columns = np.arange(pointers[-1], dtype=np.int32) + (first - pointers[:-1])[window]
+    late_s, middle = np.asarray(delays_s)[columns], 0.5 * (table.size - 1)
+    at_edges = []
+    for edge in (window, window + 1):
+        # the table is uniform; beyond its ends, its ends
+        steps = (edges[edge] - late_s) * kernel.centres_hz[band] * _STEPS_PER_PERIOD + middle
+        steps = np.clip(steps, 0.0, table.size - 1.0)
+        i = np.minimum(steps.astype(np.int64), table.size - 2)
+        at_edges.append(table[i] + (steps - i) * (table[i + 1] - table[i]))
+    values = at_edges[1] - at_edges[0]
+    shape = (edges.size - 1, len(delays_s))
+    return csr_array((values, columns.astype(np.int32), pointers), shape=shape)
 
 
 def _span_periods(bands: Bands) -> float:

@@ -29,14 +29,12 @@ from roomfit.treat.question import (
     Product,
     Surface,
     Target,
-    is_time,
-    limits_of,
     problem_of,
     rows_of,
     treated,
     treated_draws,
 )
-from roomfit.treat.search import MET, best_arrangement, excess, scale_of
+from roomfit.treat.search import MET, best_arrangement, excess
 
 _MARGIN_ROUNDS = 6  # a margin hangs on the arrangement, and that on the margin
 # Means by parameter, and the speech transmission index.
@@ -257,21 +255,21 @@ def _outcome(
 
 def _of_targets(problem: Problem, odds: FloatArray) -> tuple[FloatArray, float]:
     """Return the odds of each target in all its bands, (n_targets,), and of all targets."""
-    of, n = np.array(problem.target), len(problem.targets)
-    each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
-    return each, float(np.mean(np.prod(odds, axis=1)))
+    n = len(problem.targets)
+    each = [np.mean(np.prod(odds[:, problem.target == t], axis=1)) for t in range(n)]
+    return np.array(each), float(np.mean(np.prod(odds, axis=1)))
 
 
 def _odds(problem: Problem, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the probability that each draw is measured within its limits, as `rows`."""
-    sd, ends = _rest_sd(problem, means, numbers), limits_of(problem)
-    drawn, low, high = (_in_logs(problem, x) for x in (rows, *ends))
+    sd = _rest_sd(problem, means, numbers)
+    drawn, low, high = (_in_logs(problem, x) for x in (rows, problem.low, problem.high))
     return np.asarray(np.nan_to_num(ndtr((high - drawn) / sd) - ndtr((low - drawn) / sd)))
 
 
 def _in_logs(problem: Problem, rows: FloatArray) -> FloatArray:
     """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
-    return np.where(is_time(problem), np.log(np.maximum(rows, 1e-9)), rows)
+    return np.where(problem.is_time, np.log(np.maximum(rows, 1e-9)), rows)
 
 
 def _means_and_draws(
@@ -304,7 +302,7 @@ def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray
     ]
     found = (problem.weights * np.nan_to_num(own)).sum(axis=1)
     share = np.divide(found, numbers, out=np.zeros_like(found), where=numbers > 0.0)
-    found = np.where(is_time(problem), np.sqrt(np.log1p(share**2)), found)
+    found = np.where(problem.is_time, np.sqrt(np.log1p(share**2)), found)
     return np.asarray(np.maximum(found, 1e-9))
 
 
@@ -319,13 +317,12 @@ def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
     sd = _rest_sd(problem, one.means, one.numbers)
     wide = _in_logs(problem, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
-    ends = np.where(is_time(problem), np.exp(ends), ends)
-    low, high = limits_of(problem)
+    ends = np.where(problem.is_time, np.exp(ends), ends)
     below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
-    wide = np.maximum(
-        np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
-    )
-    return np.asarray(wide + MET * scale_of(problem))  # what the search lets pass is made up for
+    below = np.where(np.isfinite(problem.low), below, -np.inf)
+    above = np.where(np.isfinite(problem.high), above, -np.inf)
+    # what the search lets pass is made up for
+    return np.asarray(np.maximum(below, above) + MET * problem.scale)
 
 
 def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrangement:
@@ -344,7 +341,7 @@ def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrange
         before,
         joint,
         one.missed,
-        _decisive(problem, pieces, one.rows[:, np.array(problem.target) == np.argmin(odds)]),
+        _decisive(problem, pieces, one.rows[:, problem.target == np.argmin(odds)]),
         one.means[1],
     )
 
@@ -353,8 +350,7 @@ def _missed(
     problem: Problem, numbers: FloatArray, odds: FloatArray, probability: float
 ) -> tuple[str, ...]:
     """Return in words what the likeliest prediction misses, or what is less likely than asked."""
-    low, high = limits_of(problem)
-    short = odds < probability
+    low, high, short = problem.low, problem.high, odds < probability
     if probability <= 0.5:
         short = excess(problem, numbers, np.zeros(len(numbers))) > 0.0
     lines = []
@@ -386,21 +382,18 @@ def _decisive(
 ) -> tuple[tuple[str, float], ...]:
     """Return whose absorption goes with the draws of some rows: largest squared correlations."""
     room = problem.room
-    used = sorted({problem.product[c] for c in np.flatnonzero(pieces)})
+    used = np.unique(problem.product[pieces > 0]).tolist()
     names = [*room.absorption.materials, *(problem.products[p].name for p in used)]
     drawn = np.concatenate([room.draws, problem.drawn[:, used]], axis=1)
     y = np.asarray(np.nanmean(rows, axis=1))
     at = problem.weights.sum(axis=0) > 0.0
-    shares = []
-    for i, name in enumerate(names):
+    best: dict[str, float] = {}
+    for i, name in enumerate(names):  # a product that is a material of the room is one of them
         x = np.asarray(np.log(np.maximum(drawn[:, i][:, at], 1e-4)).mean(axis=1))
         spread = float(np.std(x) * np.std(y))
         if spread > 1e-12:
             share = float(np.mean((x - x.mean()) * (y - y.mean())) / spread) ** 2
-            shares.append((name, share))
-    best: dict[str, float] = {}
-    for name, share in shares:  # a product that is a material of the room is one of them
-        best[name] = max(share, best.get(name, 0.0))
+            best[name] = max(share, best.get(name, 0.0))
     return tuple(sorted(best.items(), key=lambda pair: -pair[1])[:3])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
-from roomfit.base.typing import FloatArray
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import logit_normal
 from roomfit.predict.diffuse import NAME, PreparedField
 from roomfit.predict.predict import ChangingRoom
@@ -115,18 +115,25 @@ class Problem:
     room: ChangingRoom
     products: tuple[Product, ...]
     targets: tuple[Target, ...]
-    # of each column, a product on a surface
-    surface: tuple[int, ...]  # material of the room
-    product: tuple[int, ...]
-    piece_m2: FloatArray  # (n_columns,)
-    most: FloatArray  # (n_columns,), pieces that fit the surface alone
-    cost: FloatArray  # (n_columns,), of a piece
+    # of each column, a product on a surface; (n_columns,) each
+    surface: IntArray  # material of the room
+    product: IntArray
+    piece_m2: FloatArray
+    most: FloatArray  # pieces that fit the surface alone
+    cost: FloatArray  # of a piece
     areas_m2: FloatArray  # (n_materials,)
     free_m2: Mapping[int, float]  # by material
-    # of each row, a target in a band or in the mean of its bands
-    target: tuple[int, ...]
+    # of each row, a target in a band or in the mean of its bands; (n_rows,) each
+    target: IntArray
+    low: FloatArray  # limits
+    high: FloatArray
+    is_time: BoolArray  # whether it is a decay time, whose inverse is linear in absorption
+    scale: FloatArray  # what misses are measured by: of a time its limit, else 20 JND
     weights: FloatArray  # (n_rows, n_bands)
     drawn: FloatArray  # (n_draws, n_products, n_bands)
+
+
+_SCALES = {"D50_percent": 100.0, "TS_ms": 200.0, "STI": 0.6}
 
 
 def problem_of(
@@ -136,7 +143,6 @@ def problem_of(
     targets: Sequence[Target],
 ) -> Problem:
     """Return what is asked of a room, checked."""
-    bands, areas = room.absorption.bands, _areas_m2(room.scene)
     others = [t for t in targets if t.parameter != NAME]
     if isinstance(room, PreparedField) and others:
         raise InputError(
@@ -146,35 +152,50 @@ def problem_of(
             needed="T30_s, or sources and receivers with their positions and a result of identify",
             hint="set T30_s as the target, or identify the room first",
         )
-    columns, free = columns_of(room.scene, surfaces, products)
-    piece = np.array([products[p].piece_m2 for _, p, _ in columns])
-    cost = piece * [products[p].cost_per_m2 for _, p, _ in columns]
-    of_row, weights = [], []
-    for t, target in enumerate(targets):
-        rows = row_weights(target, bands)
-        of_row += [t] * len(rows)
-        weights += list(rows)
-    if not weights:
+    if not targets:
         hint = "add [[targets]] to treatment.toml"
         raise InputError("no target is given", found="none", needed="one target or more", hint=hint)
+    columns, free = columns_of(room.scene, surfaces, products)
+    surface, product, most = (np.array(x) for x in zip(*columns, strict=True))
+    piece = np.array([p.piece_m2 for p in products])[product]
+    rows = [row_weights(target, room.absorption.bands) for target in targets]
+    of_row = np.repeat(np.arange(len(targets)), [len(weights) for weights in rows])
+    low, high = np.array([(targets[t].low, targets[t].high) for t in of_row]).T
+    names = [targets[t].parameter for t in of_row]
+    is_time = np.array([name in FIT_RANGES_DB for name in names])
+    limit = np.abs(np.where(np.isfinite(high), high, low))
     return Problem(
-        room, tuple(products), tuple(targets), tuple(m for m, _, _ in columns),
-        tuple(p for _, p, _ in columns), piece, np.array([n for _, _, n in columns]), cost, areas,
-        free, tuple(of_row), np.array(weights), _product_draws(room, products),
-    )  # fmt: skip
+        room,
+        tuple(products),
+        tuple(targets),
+        surface,
+        product,
+        piece,
+        most,
+        piece * np.array([p.cost_per_m2 for p in products])[product],
+        _areas_m2(room.scene),
+        free,
+        of_row,
+        low,
+        high,
+        is_time,
+        np.where(is_time, limit, [_SCALES.get(name, 20.0) for name in names]),
+        np.concatenate(rows),
+        _product_draws(room, products),
+    )
 
 
 def columns_of(
     scene: Scene, surfaces: Sequence[Surface], products: Sequence[Product]
 ) -> tuple[list[tuple[int, int, float]], dict[int, float]]:
     """Return material, product and most pieces of what may hang where, and the free areas in m2."""
-    materials = scene.room.materials
-    areas = _areas_m2(scene)
+    materials, areas = scene.room.materials, _areas_m2(scene)
     names = [p.name for p in products]
     columns: list[tuple[int, int, float]] = []
     free: dict[int, float] = {}
     for s in surfaces:
-        m = _index("a surface", s.material, materials)
+        check_known("a surface of the treatment is not known", s.material, materials)
+        m = materials.index(s.material)
         whole = float(areas[m])
         wanted = whole if s.free_m2 is None else s.free_m2
         if wanted > 1.001 * whole:
@@ -186,11 +207,12 @@ def columns_of(
                 hint="a sheet that sound strikes from both sides counts twice",
             )
         free[m] = min(wanted, whole) - s.forbidden_m2
-        allowed = [_index("a product", n, names) for n in s.products] or range(len(products))
-        for p in allowed:
-            pieces = np.floor(free[m] / products[p].piece_m2 + 1e-6)
+        for name in s.products:
+            check_known("a product of the treatment is not known", name, names)
+        for p in [names.index(name) for name in s.products] or range(len(products)):
+            pieces = float(np.floor(free[m] / products[p].piece_m2 + 1e-6))
             if products[p].depth_m <= s.depth_m and pieces >= 1.0:
-                columns.append((m, p, float(pieces)))
+                columns.append((m, p, pieces))
     if not columns:
         raise InputError(
             "no product fits on any surface",
@@ -204,11 +226,6 @@ def columns_of(
 def _areas_m2(scene: Scene) -> FloatArray:
     """Return the area of each material in the state of the pairs; as described without pairs."""
     return material_areas_m2(scene.room, int(np.max(pair_states(scene), initial=0)))
-
-
-def _index(kind: str, name: str, known: Sequence[str]) -> int:
-    check_known(f"{kind} of the treatment is not known", name, known)
-    return known.index(name)
 
 
 def row_weights(target: Target, bands: Bands) -> FloatArray:
@@ -248,8 +265,8 @@ def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArra
         z = rng.standard_normal(len(room.draws))
         if p.material:
             drawn.append(room.draws[:, room.absorption.materials.index(p.material)])
-            continue
-        drawn.append(logit_normal(p.absorption, p.sd, z))
+        else:
+            drawn.append(logit_normal(p.absorption, p.sd, z))
     return np.stack(drawn, axis=1)
 
 
@@ -260,9 +277,8 @@ def treated(problem: Problem, pieces: FloatArray) -> FloatArray:
 
     Shapes: `pieces` (..., n_columns).
     """
-    own = problem.room.absorption.absorption
     products = np.array([p.absorption for p in problem.products])
-    return _covered(problem, pieces, own, products)
+    return _covered(problem, pieces, problem.room.absorption.absorption, products)
 
 
 def treated_draws(problem: Problem, pieces: FloatArray) -> FloatArray:
@@ -273,32 +289,17 @@ def treated_draws(problem: Problem, pieces: FloatArray) -> FloatArray:
 def _covered(
     problem: Problem, pieces: FloatArray, own: FloatArray, products: FloatArray
 ) -> FloatArray:
-    surface, product = np.array(problem.surface), np.array(problem.product)
-    share = pieces * problem.piece_m2 / problem.areas_m2[surface]
+    share = pieces * problem.piece_m2 / problem.areas_m2[problem.surface]
     shape = np.broadcast_shapes(own.shape, (*pieces.shape[:-1], 1, 1))
     absorption = np.array(np.broadcast_to(own, shape))
-    for c in range(len(surface)):
-        gain = products[..., product[c], :] - own[..., surface[c], :]
-        absorption[..., surface[c], :] += share[..., c, None] * gain
+    for c, (m, p) in enumerate(zip(problem.surface, problem.product, strict=True)):
+        gain = products[..., p, :] - own[..., m, :]
+        absorption[..., m, :] += share[..., c, None] * gain
     return np.clip(absorption, 0.0, 1.0)
 
 
 def rows_of(problem: Problem, values: FloatArray) -> FloatArray:
-    """Return the number of every row, shape (..., n_rows).
-
-    Shapes: `values` (..., n_names + 1, n_bands).
-    """
+    """Return the number of every row, (..., n_rows), of values (..., n_names + 1, n_bands)."""
     names = [TARGET_NAMES.index(problem.targets[t].parameter) for t in problem.target]
     picked = values[..., names, :]
     return np.asarray(np.where(problem.weights > 0.0, picked * problem.weights, 0.0).sum(axis=-1))
-
-
-def limits_of(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return the limits of every row, shape (n_rows,) each."""
-    own = [problem.targets[t] for t in problem.target]
-    return np.array([t.low for t in own]), np.array([t.high for t in own])
-
-
-def is_time(problem: Problem) -> FloatArray:
-    """Return of each row whether it is a decay time, whose inverse is linear in absorption."""
-    return np.array([problem.targets[t].parameter in FIT_RANGES_DB for t in problem.target])

@@ -12,12 +12,10 @@ from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.predict.decay import extrapolated_sti, moved
 from roomfit.predict.diffuse import PreparedField, field_times_s, in_rows
 from roomfit.predict.predict import ChangingRoom
-from roomfit.treat.question import Problem, is_time, limits_of, rows_of, treated
+from roomfit.treat.question import Problem, rows_of, treated
 
-_ROUNDS, _EXCHANGES = 5, 60
-_TRIED_AT_ONCE = 48
+_ROUNDS, _EXCHANGES, _TRIED_AT_ONCE, _MANY = 5, 60, 48, 64
 _POINTS = 128
-_MANY = 64
 # A tenth of a just noticeable difference of a time counts as met.
 MET = 0.005
 
@@ -60,25 +58,10 @@ def numbers_of(problem: Problem, pieces: FloatArray) -> FloatArray:
 
 
 def excess(problem: Problem, numbers: FloatArray, margin: FloatArray) -> FloatArray:
-    """Return by how much each row misses its limits, in their units over a scale, (..., n_rows).
-
-    Times are scaled by their limit, all else by 20 just noticeable differences. NaN counts as 1.
-    """
-    low, high = limits_of(problem)
-    high, low = high - margin, low + margin
-    scale = scale_of(problem)
-    missed = np.maximum(np.maximum(low - numbers, numbers - high), 0.0) / scale
-    missed = np.where(missed * scale <= MET * scale, 0.0, missed)
-    return np.asarray(np.where(np.isnan(numbers), 1.0, missed))
-
-
-def scale_of(problem: Problem) -> FloatArray:
-    """Return what misses of each row are measured by, see `excess`, (n_rows,)."""
-    low, high = limits_of(problem)
-    finite = np.where(np.isfinite(high), high, low)
-    others = {"D50_percent": 100.0, "TS_ms": 200.0, "STI": 0.6}
-    whole = [others.get(problem.targets[t].parameter, 20.0) for t in problem.target]
-    return np.where(is_time(problem), np.abs(finite), whole)
+    """Return by how much each row misses its limits over its scale, (..., n_rows); of NaN 1."""
+    beyond = np.maximum(problem.low + margin - numbers, numbers - problem.high + margin)
+    missed = np.maximum(beyond, 0.0) / problem.scale
+    return np.asarray(np.where(np.isnan(numbers), 1.0, np.where(missed <= MET, 0.0, missed)))
 
 
 def best_arrangement(
@@ -95,19 +78,16 @@ def best_arrangement(
 
     Shapes: `margin` (n_rows,), `excluded` (n_columns,).
     """
-    n = len(problem.cost)
-    here = np.zeros(n)
+    here = np.zeros(len(problem.cost))
     numbers = numbers_of(problem, here[None])[0]
-    best = None if excluded else (here, numbers)
-    step = problem.most.copy()
+    best, step = None if excluded else (here, numbers), problem.most
     for _ in range(_ROUNDS):
         slopes = _slopes(problem, here, numbers, step)
         found = _programme(problem, here, numbers, slopes, margin, excluded, most_cost)
         if found is None:
             break
         is_new = np.any(found != here)
-        here = found
-        numbers = numbers_of(problem, here[None])[0]
+        here, numbers = found, numbers_of(problem, found[None])[0]
         if best is None or _worth(problem, here, numbers, margin) < _worth(problem, *best, margin):
             best = (here, numbers)
         if not is_new:
@@ -127,7 +107,8 @@ def _worth(
 
 
 def _linear(problem: Problem, numbers: FloatArray) -> FloatArray:
-    return np.asarray(np.where(is_time(problem), 1.0 / np.maximum(numbers, 1e-3), numbers))
+    """Return inverse times, all else as it is; the same turns them back."""
+    return np.asarray(np.where(problem.is_time, 1.0 / np.maximum(numbers, 1e-3), numbers))
 
 
 def _slopes(
@@ -150,30 +131,23 @@ def _programme(
     most_cost: float,
 ) -> FloatArray | None:
     """Return the pieces that solve the linear problem."""
-    n, k = len(problem.cost), len(problem.target)
-    low, high = limits_of(problem)
-    low, high = low + margin, high - margin
-    times = is_time(problem)
-    with np.errstate(divide="ignore"):
-        inverse = (
-            1.0 / np.maximum(high, 1e-3),
-            np.where(low > 0.0, 1.0 / np.maximum(low, 1e-9), np.inf),
-        )
-    low, high = np.where(times, inverse[0], low), np.where(times, inverse[1], high)
-    linear = np.nan_to_num(_linear(problem, numbers))
-    scale = np.where(times, 1.0 / scale_of(problem), scale_of(problem))
-    base = slopes @ here - linear
-    slack = np.diag(scale)
-    nothing = np.zeros((k, n))
+    n, k, times = len(problem.cost), len(problem.target), problem.is_time
+    low, high = problem.low + margin, problem.high - margin
+    slowest = 1.0 / np.maximum(high, 1e-3)
+    fastest = np.where(low > 0.0, 1.0 / np.maximum(low, 1e-9), np.inf)
+    low, high = np.where(times, slowest, low), np.where(times, fastest, high)
+    base = slopes @ here - np.nan_to_num(_linear(problem, numbers))
+    slack = np.diag(np.where(times, 1.0 / problem.scale, problem.scale))
+    nothing, one, away = np.zeros((k, n)), np.eye(n), np.zeros((n, k))
+    # unknown are the pieces of each column, whether it is used, and by how much a row is missed
     rows = [
         LinearConstraint(np.hstack([slopes, nothing, slack]), lb=low + base),
         LinearConstraint(np.hstack([slopes, nothing, -slack]), ub=high + base),
+        LinearConstraint(np.hstack([one, -np.diag(problem.most), away]), ub=np.zeros(n)),
+        LinearConstraint(np.hstack([one, -one, away]), lb=np.zeros(n)),
     ]
-    used = np.hstack([np.eye(n), -np.diag(problem.most), np.zeros((n, k))])
-    some = np.hstack([np.eye(n), -np.eye(n), np.zeros((n, k))])
-    rows += [LinearConstraint(used, ub=np.zeros(n)), LinearConstraint(some, lb=np.zeros(n))]
     for m, free in problem.free_m2.items():
-        own = np.where(np.array(problem.surface) == m, problem.piece_m2, 0.0)
+        own = np.where(problem.surface == m, problem.piece_m2, 0.0)
         rows.append(LinearConstraint(np.concatenate([own, np.zeros(n + k)])[None], ub=free + 1e-6))
     if np.isfinite(most_cost):
         price = np.concatenate([problem.cost, np.zeros(n + k)])
@@ -200,7 +174,6 @@ def _exchanged(
     most_cost: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best arrangement after pieces were taken, added and exchanged, one by one."""
-    surface = np.array(problem.surface)
     for k in range(_EXCHANGES):
         here, numbers = best
         # of hundreds of columns a slope costs more than what a newer one would tell
@@ -208,19 +181,16 @@ def _exchanged(
             slopes = _slopes(problem, here, numbers, np.ones(len(here)))
         moves = _moves(problem, here)
         trial = here + moves
-        taken = np.array(
-            [np.any(np.all((trial > 0) == e, axis=1)[:, None], axis=1) for e in excluded]
-        )
         fits = np.all(trial <= problem.most, axis=1) & (trial @ problem.cost <= most_cost)
         for m, free in problem.free_m2.items():
-            fits &= trial[:, surface == m] @ problem.piece_m2[surface == m] <= free + 1e-6
-        if excluded:
-            fits &= ~taken.any(axis=0)
+            on_it = problem.surface == m
+            fits &= trial[:, on_it] @ problem.piece_m2[on_it] <= free + 1e-6
+        for used_before in excluded:
+            fits &= np.any((trial > 0) != used_before, axis=1)
         trial, moves = trial[fits], moves[fits]
         if not len(trial):
             break
-        linear = _linear(problem, numbers) + moves @ slopes.T
-        likely = np.where(is_time(problem), 1.0 / np.maximum(linear, 1e-3), linear)
+        likely = _linear(problem, _linear(problem, numbers) + moves @ slopes.T)
         missed = excess(problem, likely, margin).sum(axis=1)
         order = np.lexsort((trial @ problem.cost, np.round(missed, 3)))[:_TRIED_AT_ONCE]
         found = numbers_of(problem, trial[order])
