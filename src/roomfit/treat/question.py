@@ -160,8 +160,9 @@ def problem_of(
     piece = np.array([p.piece_m2 for p in products])[product]
     rows = [row_weights(target, room.absorption.bands) for target in targets]
     of_row = np.repeat(np.arange(len(targets)), [len(weights) for weights in rows])
-    low, high = np.array([(targets[t].low, targets[t].high) for t in of_row]).T
-    names = [targets[t].parameter for t in of_row]
+    own = [targets[t] for t in of_row.tolist()]
+    low, high = np.array([(t.low, t.high) for t in own]).T
+    names = [t.parameter for t in own]
     is_time = np.array([name in FIT_RANGES_DB for name in names])
     limit = np.abs(np.where(np.isfinite(high), high, low))
     return Problem(
