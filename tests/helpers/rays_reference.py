@@ -12,7 +12,6 @@ from roomfit.materials.priors import Scattering
 from roomfit.model.energy import Observation, variance_of_batches
 from roomfit.model.scattering import scattering_weights
 from roomfit.model.weighing import EnergyRows
-from roomfit.model.windows import in_windows
 from roomfit.room.mesh import Mesh, corners_m, shoebox_mesh
 from roomfit.room.scene import Room, Scene, triangle_material
 from roomfit.tracing.paths import Paths
@@ -175,4 +174,4 @@ def monte_carlo_sd(rows: EnergyRows, coefficients: FloatArray, air_per_m: FloatA
 def tracing_variance(rows: EnergyRows, observed: Observation, absorption: FloatArray) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, batches weighed for it alone."""
     batches = batch_energies(rows, absorption.reshape(-1, 1), np.zeros(1))[:, 0]
-    return variance_of_batches(in_windows(observed.spreading, batches.T))
+    return variance_of_batches(observed.spreading @ batches.T)

@@ -31,7 +31,6 @@ from roomfit.model.directivity import (
     with_directivities,
 )
 from roomfit.model.early import DisplacedTerm, FixedPaths, displaced_term, fixed_paths
-from roomfit.model.energy import chosen_rows
 from roomfit.model.observation import DEFAULT_POSITION_SD_M, energy_terms, fitted_in_band
 from roomfit.model.parameters import (
     Parameters,
@@ -41,6 +40,7 @@ from roomfit.model.parameters import (
     start_vector,
 )
 from roomfit.model.problem import Objective
+from roomfit.model.weighing import taken_rows
 from roomfit.room.mesh import box_of, mean_free_path_m, shoebox_mesh
 from roomfit.room.scene import (
     NEAREST_PAIR_M,
@@ -243,7 +243,10 @@ def displacement_model(
             continue
         (term, parameters), files = own, fitted_in_band(responses, band)
         ends = scene.pairs[[m.pair for m in files]]
-        term = replace(term, rows=once(ends, (chosen_rows(r, ~moves) for r in term.rows)))
+        term = replace(
+            term,
+            rows=once(ends, (taken_rows(r, np.flatnonzero(~moves[r.path])) for r in term.rows)),
+        )
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)

@@ -23,7 +23,6 @@ from roomfit.model.energy import EnergyTerm, parts_of
 from roomfit.model.parameters import Parameters, physical_values
 from roomfit.model.problem import Objective, Prediction
 from roomfit.model.weighing import directed_rows, weigh
-from roomfit.model.windows import in_windows
 from roomfit.solver import BandFit
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
@@ -261,7 +260,7 @@ def batch_spread(
     each = zip(energies.observations, sources, strict=True)
     for number, (observed, source) in enumerate(each):
         batches = parts_of(energies, number, values["absorption"]).batches[:n_batches]
-        windows = gains[observed.gain] * in_windows(observed.spreading, batches.T)
+        windows = gains[observed.gain] * (observed.spreading @ batches.T)
         last = first + observed.energy.size
         out[first:last, names.index(source)] = windows - windows.mean(axis=1, keepdims=True)
         first = last

@@ -17,7 +17,7 @@ from roomfit.base.arguments import read_only
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.binned import BinnedPaths
 from roomfit.model.energy import PATTERN, EnergyTerm
-from roomfit.model.parameters import Block, Parameters
+from roomfit.model.parameters import Block, Parameters, unit_block
 from roomfit.model.patterns import Pattern, pattern_basis
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
 from roomfit.model.weighing import RowBasis
@@ -46,18 +46,7 @@ class UnknownDirectivities:
 def directivity_block(unknown: UnknownDirectivities) -> Block:
     """Return the block of the free numbers z, shape (3 * n_sources,)."""
     labels = tuple(f"directivity {s} {axis}" for s in unknown.sources for axis in "xyz")
-    n = len(labels)
-    return Block(
-        DIRECTIVITY,
-        labels,
-        "identity",
-        np.zeros(n),
-        np.ones(n, dtype=np.bool_),
-        np.zeros(n),
-        np.ones(n),
-        np.full(n, -1e6),
-        np.full(n, 1e6),
-    )
+    return unit_block(DIRECTIVITY, labels, np.ones(len(labels), dtype=np.bool_))
 
 
 def with_directivities(parameters: Parameters, unknown: UnknownDirectivities) -> Parameters:

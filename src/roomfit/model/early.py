@@ -26,7 +26,6 @@ from roomfit.model.energy import (
 )
 from roomfit.model.patterns import amplitude_and_slope, pattern_basis
 from roomfit.model.problem import DataTerm, Rows, Values
-from roomfit.model.windows import in_windows
 from roomfit.signals.filters import (
     SpreadingKernel,
     spreading_matrix,
@@ -202,7 +201,7 @@ def fixed_paths(
     for number, o in enumerate(observations):
         parts = parts_of(weighed, number, absorption)
         fine.append(o.fine_spreading @ parts.energy)
-        tracing.append(variance_of_batches(in_windows(o.spreading, parts.batches.T)))
+        tracing.append(variance_of_batches(o.spreading @ parts.batches.T))
         first.append(n_fine + np.searchsorted(o.fine_edges_s, o.edges_s[:-1]))
         n_fine += o.fine_edges_s.size - 1
     noise = np.concatenate([o.noise for o in observations])

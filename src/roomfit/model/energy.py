@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -13,7 +13,7 @@ from roomfit.base.arguments import float_array
 from roomfit.base.errors import InputError
 from roomfit.base.forks import count_evaluation
 from roomfit.base.kernels import each_in_threads
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import start_vector
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
 from roomfit.model.weighing import (
@@ -23,11 +23,10 @@ from roomfit.model.weighing import (
     RowBasis,
     RowPattern,
     rows_in_air,
-    shared_zeros,
+    taken_rows,
     weigh_parts,
 )
 from roomfit.model.windows import (
-    in_windows,
     squares_in_windows,
     with_squares,
 )
@@ -119,7 +118,7 @@ class EnergyTerm(DataTerm):
         def weighed_windows(o: int) -> tuple[EnergyParts, FloatArray]:
             pattern = self.patterns[o] if self.patterns else None
             parts = weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
-            return parts, in_windows(self.observations[o].spreading, parts.columns)
+            return parts, self.observations[o].spreading @ parts.columns
 
         signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
         each = each_in_threads(
@@ -254,10 +253,9 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     if known is not None:
         return known
     found = []
-    patterns = problem.patterns or (None,) * len(problem.rows)
-    for rows, pattern, observed in zip(problem.rows, patterns, problem.observations, strict=True):
-        parts = weigh_parts(rows, pattern, absorption, problem.attenuation_per_m)
-        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches.T))
+    for o, observed in enumerate(problem.observations):
+        parts = parts_of(problem, o, absorption)
+        tracing = variance_of_batches(observed.spreading @ parts.batches.T)
         found.append(Weighed(parts.energy, parts.squares, tracing))
     return tuple(found)
 
@@ -330,36 +328,13 @@ def squared_image_rows(rows: EnergyRows) -> EnergyRows:
     ``(w exp(-m d) x**h)**2`` is the energy of a path with the weight squared and length and hits
     doubled. Rays are left out: they sample very many weak reflections, whose squares vanish.
     """
-    image = rows.batch < 0
-    kept = np.concatenate(([0], np.cumsum(image)))
-    return EnergyRows(
-        rows.materials,
-        rows.n_windows,
-        kept[rows.offsets],
-        rows.weight_per_m2[image] ** 2,
-        2 * rows.hits[image],
-        2.0 * rows.length_m[image],
-        rows.batch[image],
-        rows.n_batches,
-    )
-
-
-def chosen_rows(rows: EnergyRows, kept: BoolArray) -> EnergyRows:
-    """Return the rows of some paths.
-
-    Shapes: `kept` (n_paths,).
-    """
-    own = kept[cast(IntArray, rows.path)]
-    offsets = np.concatenate(([0], np.cumsum(own)))[rows.offsets]
+    few = taken_rows(rows, np.flatnonzero(rows.batch < 0))
     return replace(
-        rows,
-        offsets=offsets,
-        weight_per_m2=rows.weight_per_m2[own],
-        hits=rows.hits[own],
-        # of rows with the air's loss in their weights all are 0, and there once
-        length_m=rows.length_m[own] if rows.length_m.any() else shared_zeros(int(offsets[-1])),
-        batch=rows.batch[own],
-        path=cast(IntArray, rows.path)[own],
+        few,
+        weight_per_m2=few.weight_per_m2**2,
+        hits=2 * few.hits,
+        length_m=2.0 * few.length_m,
+        path=None,
     )
 
 

@@ -54,11 +54,7 @@ class Block:
             object.__setattr__(self, name, values)
         sd = np.array(self.prior_sd, dtype=np.float64)
         if sd.shape != (n,) or not np.all(sd > 0.0):
-            raise InputError(
-                f"prior of {self.name} needs a standard deviation above zero",
-                found=str(self.prior_sd),
-                hint="to hold a value fixed, give it as known instead of as a prior",
-            )
+            raise InputError(f"prior of {self.name} needs a standard deviation above zero")
         sd.setflags(write=False)
         object.__setattr__(self, "prior_sd", sd)
         object.__setattr__(self, "fitted", bool_array(f"{self.name} fitted", self.fitted, (n,)))
@@ -76,12 +72,14 @@ class Block:
         bad = np.flatnonzero(self.lower >= self.upper)
         if bad.size:
             i = int(bad[0])
-            raise InputError(
-                "lower bound is not below the upper one",
-                where=f"{self.name} of {self.labels[i]!r}",
-                found=f"{self.lower[i]:g} and {self.upper[i]:g}",
-                needed="lower < upper",
-            )
+            raise InputError(f"no room between the bounds of {self.name} of {self.labels[i]!r}")
+
+
+def unit_block(name: str, labels: tuple[str, ...], fitted: BoolArray) -> Block:
+    """Return free numbers that are 0 at the start and of a unit normal law before any data."""
+    n = len(labels)
+    zeros, wide = np.zeros(n), np.full(n, 1e6)
+    return Block(name, labels, "identity", zeros, fitted, zeros, np.ones(n), -wide, wide)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

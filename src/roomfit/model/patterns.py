@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from roomfit.base.arguments import float_array, read_only
 from roomfit.base.errors import InputError
-from roomfit.base.kernels import kernel
 from roomfit.base.typing import FloatArray
 from roomfit.model.weighing import RowPattern
 from roomfit.room.scene import Point
@@ -31,29 +30,10 @@ def amplitude_and_slope(
 
     Shapes: `b` (3,), `departure` (n, 3).
     """
-    amplitude, slope = np.empty(len(departure)), np.empty((len(departure), 3))
-    fill_amplitudes(np.asarray(b, dtype=np.float64), departure, amplitude, slope)
-    return amplitude, slope
-
-
-@kernel()
-def fill_amplitudes(
-    b: FloatArray,
-    departure: NDArray[np.float32] | FloatArray,
-    amplitude: FloatArray,
-    slope: FloatArray,
-) -> None:
-    """Fill amplitude (n,) and slope (n, 3) in one pass: this is done at every evaluation."""
-    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    root = np.sqrt(norm)
-    for i in range(len(departure)):
-        a = 1.0
-        for k in range(3):
-            a += departure[i, k] * b[k]
-        a /= root
-        amplitude[i] = a
-        for k in range(3):
-            slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
+    b = np.asarray(b, dtype=np.float64)
+    norm = 1.0 + b @ b / 3.0
+    amplitude = (1.0 + departure @ b) / np.sqrt(norm)
+    return amplitude, departure / np.sqrt(norm) - amplitude[:, None] * b / (3.0 * norm)
 
 
 # A measured directivity is interpolated once to a grid of directions so fine, and then linearly.

@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.base.bands import Bands
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.energy import squared_image_rows
-from roomfit.model.weighing import EnergyRows, weigh_points, window_of_rows
+from roomfit.model.weighing import EnergyRows, taken_rows, weigh_points, window_of_rows
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve
 from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients, values_of_bins
 from roomfit.signals.speech import (
@@ -162,16 +162,8 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
     for begin, end in pairwise(ends.tolist()):
         weight[begin:end] = _calibrated(energy[:, begin:end], n_each)
     kept = np.flatnonzero(weight)
-    counts = np.bincount(window_of_rows(rows)[kept], minlength=rows.n_windows)
-    return EnergyRows(
-        rows.materials,
-        rows.n_windows,
-        np.concatenate(([0], np.cumsum(counts))),
-        rows.weight_per_m2[kept] * weight[kept],
-        rows.hits[kept],
-        rows.length_m[kept],
-        rows.batch[kept],
-    )
+    few = taken_rows(rows, kept)
+    return replace(few, weight_per_m2=few.weight_per_m2 * weight[kept], n_batches=0, path=None)
 
 
 def _calibrated(energy: FloatArray, n_each: float) -> FloatArray:

@@ -24,6 +24,7 @@ from roomfit.model.problem import DataTerm, Objective, Rows, Values
 from roomfit.model.pulses import energy_of_pulses, image_pulses
 from roomfit.model.weighing import (
     EnergyRows,
+    first_rows,
     rows_in_air,
     thinned_rows,
     weigh,
@@ -402,18 +403,8 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     kept = (binned.edges_s.size - 1) // n
 
     def joined(fine: EnergyRows) -> EnergyRows:
-        offsets = fine.offsets[: n * kept + 1 : n]
-        last = int(offsets[-1])
-        return EnergyRows(
-            fine.materials,
-            kept,
-            offsets,
-            fine.weight_per_m2[:last],
-            fine.hits[:last],
-            fine.length_m[:last],
-            fine.batch[:last],
-            fine.n_batches,
-        )
+        first = first_rows(fine, n * kept)
+        return replace(first, n_windows=kept, offsets=first.offsets[::n], path=None)
 
     return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
 

@@ -42,15 +42,7 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
     _check_drawn(paths, scattering)
     traced, wanted = paths.sampling_scattering, scattering.coefficients
     factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
-    if len(traced) > 1:
-        changes = _log_changes(traced, wanted)
-        in_threads(_mixture_ratios, len(paths), changes, *hits, factor)
-        return factor
-    changed = wanted != traced[0]
-    ratios = np.ones((2, len(wanted)))
-    ratios[0, changed] = wanted[changed] / traced[0, changed]
-    ratios[1, changed] = (1.0 - wanted[changed]) / (1.0 - traced[0, changed])
-    in_threads(_ratios_to_the_hits, len(paths), ratios, *hits, factor)
+    in_threads(_mixture_ratios, len(paths), _log_changes(traced, wanted), *hits, factor)
     return factor
 
 
@@ -75,25 +67,6 @@ def _check_drawn(paths: Paths, scattering: Scattering) -> None:
             needed="a sampling coefficient between 0 and 1",
             hint="trace again with the coefficient that is wanted",
         )
-
-
-@kernel(allocates=False)
-def _ratios_to_the_hits(
-    first: int,
-    last: int,
-    ratios: FloatArray,
-    diffuse: IntArray,
-    specular: IntArray,
-    factor: FloatArray,
-) -> None:
-    """Fill the product over materials of both ratios to the power of the hits; 0 ** 0 is 1."""
-    for i in range(first, last):
-        product = 1.0
-        for m in range(ratios.shape[1]):
-            if ratios[0, m] != 1.0:
-                product *= ratios[0, m] ** np.int64(diffuse[i, m])
-                product *= ratios[1, m] ** np.int64(specular[i, m])
-        factor[i] = product
 
 
 @kernel(allocates=False)

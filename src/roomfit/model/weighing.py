@@ -7,7 +7,7 @@ Every window is summed by one thread in the order of its rows: same bits for any
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias, cast
 
@@ -73,29 +73,11 @@ def energy_rows(
     """Return the rows of one pair, each in the window ``edges[w] <= length / c < edges[w + 1]``.
 
     Paths before the first edge or from the last on are left out. Within a window the rows keep
-    the order of the paths.
+    the order of the paths. `own` are the paths of the pair where they are known, of
+    `roomfit.tracing.paths.paths_of_pairs`. An `InputError` where there is no such pair, or the
+    edges do not rise.
 
-    Parameters
-    ----------
-    paths : Paths
-    pair : int
-        Index of the pair in the scene.
-    edges_s : float array, shape (n_windows + 1,)
-        Strictly rising times after emission, s.
-    speed_of_sound_m_s : float
-        Above 0.
-    own : int array, optional
-        The paths of the pair, of `roomfit.tracing.paths.paths_of_pairs`: spares a search of all.
-
-    Returns
-    -------
-    EnergyRows
-        For `weigh`.
-
-    Raises
-    ------
-    InputError
-        No such pair, or the edges do not rise.
+    Shapes: `edges_s` (n_windows + 1,), `own` (n_own,).
 
     Examples
     --------
@@ -226,20 +208,33 @@ def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
     )
 
 
-def first_rows(rows: EnergyRows, n_windows: int) -> EnergyRows:
-    """Return the rows of the first so many windows; later ones are left out."""
-    n = min(n_windows, rows.n_windows)
-    last = int(rows.offsets[n])
+def taken_rows(rows: EnergyRows, kept: IntArray) -> EnergyRows:
+    """Return some rows in the windows in which they are, by rising index."""
     return replace(
         rows,
-        n_windows=n,
-        offsets=rows.offsets[: n + 1],
-        weight_per_m2=rows.weight_per_m2[:last],
-        hits=rows.hits[:last],
-        length_m=rows.length_m[:last],
-        batch=rows.batch[:last],
-        path=None if rows.path is None else rows.path[:last],
+        offsets=np.searchsorted(kept, rows.offsets),
+        weight_per_m2=rows.weight_per_m2[kept],
+        hits=rows.hits[kept],
+        # of rows with the air's loss in their weights all are 0, and there once
+        length_m=rows.length_m[kept] if rows.length_m.any() else shared_zeros(kept.size),
+        batch=rows.batch[kept],
+        path=None if rows.path is None else rows.path[kept],
     )
+
+
+def first_rows(rows: EnergyRows, n_windows: int) -> EnergyRows:
+    """Return the rows of the first so many windows, without copies; later ones are left out."""
+    n = min(n_windows, rows.n_windows)
+    last = int(rows.offsets[n])
+    names = (
+        "weight_per_m2",
+        "hits",
+        "length_m",
+        "batch",
+        *(() if rows.path is None else ("path",)),
+    )
+    columns = {name: getattr(rows, name)[:last] for name in names}
+    return replace(rows, n_windows=n, offsets=rows.offsets[: n + 1], **cast(Any, columns))
 
 
 def window_of_rows(rows: EnergyRows) -> IntArray:
@@ -263,12 +258,10 @@ def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
         return rows
     whole = most // 2
     step = -(-(len(rows) - whole) // (most - whole))
-    kept = np.concatenate((np.arange(whole), np.arange(whole, len(rows), step)))
-    counts = np.bincount(window_of_rows(rows)[kept], minlength=rows.n_windows)
-    arrays = {f.name: getattr(rows, f.name) for f in fields(rows) if f.init and f.name != "offsets"}
-    columns = {name: c[kept] for name, c in arrays.items() if isinstance(c, np.ndarray)}
-    columns["weight_per_m2"][whole:] *= step
-    return replace(rows, offsets=np.concatenate(([0], np.cumsum(counts))), **cast(Any, columns))
+    few = taken_rows(rows, np.concatenate((np.arange(whole), np.arange(whole, len(rows), step))))
+    weight = few.weight_per_m2.copy()
+    weight[whole:] *= step
+    return replace(few, weight_per_m2=weight)
 
 
 # Of at most so many rows sums are added up at a time.
@@ -501,34 +494,11 @@ def weigh(
 ) -> EnergyResponse:
     """Return the window energies under an absorption: one pass over the rows a band.
 
-    Smooth in every coefficient and falling in each. The derivative is exact, at a = 0 and a = 1
-    too. Same bits for any number of threads.
+    Smooth in every coefficient and falling in each. The derivative, left out on request, is exact,
+    at a = 0 and a = 1 too. Same bits for any number of threads. An `InputError` where a shape is
+    wrong or a value out of range.
 
-    Parameters
-    ----------
-    rows : EnergyRows
-    coefficients : float array, shape (n_materials, n_bands)
-        Energy absorption, 0 to 1.
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air, 0 or more.
-    derivative : bool
-        False leaves the derivative out and takes about half the time.
-
-    Returns
-    -------
-    EnergyResponse
-        ``energy`` of shape (n_bands, n_windows), 1/m2 for a source of unit power, and
-        ``derivative`` by the absorption, (n_materials, n_bands, n_windows), never positive.
-
-    Raises
-    ------
-    InputError
-        Wrong shape, or a value out of range.
-
-    Notes
-    -----
-    Sum over the rows of ``weight exp(-m length) product of (1 - a)**hits``;
-    tested against a readable form of the product.
+    Shapes: `coefficients` (n_materials, n_bands), `attenuation_per_m` (n_bands,).
 
     Examples
     --------

@@ -103,14 +103,6 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
     return float(-60.0 / slope) if slope < 0.0 else float("nan")
 
 
-def in_windows(spreading: csr_array, columns: FloatArray) -> FloatArray:
-    """Return ``shares @ columns``, shape (n_windows, n_columns), of columns (n_bins, n_columns)."""
-    out = np.zeros((spreading.shape[0], columns.shape[1]))
-    own = np.ascontiguousarray(columns)
-    _add_up(spreading.indptr, spreading.indices, spreading.data, own, out)
-    return out
-
-
 def with_squares(
     spreading: csr_array, row: FloatArray, squares: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -127,7 +119,7 @@ def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
     return np.asarray(twice)
 
 
-@kernel()
+@kernel(allocates=False)
 def _add_up_both(
     pointers: IntArray,
     bins: IntArray,
@@ -144,17 +136,6 @@ def _add_up_both(
             a += share * row[at]
             b += share * share * squares[at]
         once[w], twice[w] = a, b
-
-
-@kernel()
-def _add_up(
-    pointers: IntArray, bins: IntArray, spreading: FloatArray, columns: FloatArray, out: FloatArray
-) -> None:
-    for w in range(len(pointers) - 1):
-        for e in range(pointers[w], pointers[w + 1]):
-            share, at = spreading[e], bins[e]
-            for r in range(columns.shape[1]):
-                out[w, r] += share * columns[at, r]
 
 
 def window_edges_s(

@@ -32,7 +32,7 @@ from roomfit.model.parameters import GEOMETRY
 from roomfit.model.problem import DataTerm, Rows, Values
 from roomfit.model.pulses import BandGrid, band_grid
 from roomfit.model.weighing import ROWS_WORTH_THREADS, RowBasis, first_rows, shared_zeros
-from roomfit.model.windows import in_windows, squares_in_windows, with_squares
+from roomfit.model.windows import squares_in_windows, with_squares
 from roomfit.pressures.geometry import Geometry, local_roots, times_of
 from roomfit.pressures.response import (
     DirectedImages,
@@ -169,7 +169,7 @@ class CoherentTerm(DataTerm):
                 total,
                 hits,
             )
-            return observed.spreading @ total, in_windows(observed.spreading, hits.T)
+            return observed.spreading @ total, observed.spreading @ hits.T
 
         worth_it = energy.size * self.coherent.hits.shape[1] >= ROWS_WORTH_THREADS
         energies, by_hits = zip(

@@ -15,7 +15,7 @@ from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.fit.fits import FittedGeometry
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
-from roomfit.model.parameters import GEOMETRY, Block, Marginal
+from roomfit.model.parameters import GEOMETRY, Block, Marginal, unit_block
 from roomfit.pressures.response import Times
 from roomfit.room.scene import Point, Scene
 from roomfit.settings import Settings
@@ -46,18 +46,7 @@ class Geometry:
 
 def geometry_block(geometry: Geometry) -> Block:
     """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
-    n = len(geometry.labels)
-    return Block(
-        GEOMETRY,
-        geometry.labels,
-        "identity",
-        np.zeros(n),
-        geometry.moves(),
-        np.zeros(n),
-        np.ones(n),
-        np.full(n, -1e6),
-        np.full(n, 1e6),
-    )
+    return unit_block(GEOMETRY, geometry.labels, geometry.moves())
 
 
 def times_of(geometry: Geometry, values: FloatArray) -> Times:
