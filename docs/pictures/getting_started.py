@@ -27,7 +27,7 @@ _PAGES = {
 }
 _STEPS = (
     "demo --out demo",
-    "check demo/campaign/campaign.toml --out checked",
+    "check demo/campaign/campaign.toml --out checked --png",
     "predict demo/campaign/campaign.toml --absorption demo/result/result.json "
     "--set brick=curtain-heavy-draped --out predicted",
     "init hall --shoebox 20 14 7 --decay-times t30.csv",

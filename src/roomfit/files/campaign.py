@@ -115,6 +115,17 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     InputError
         The file is missing, not TOML, has an unknown key (the nearest known one is named), a value
         of the wrong kind, or measurements that name undefined sources or receivers.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = "[room]\\nshoebox = [6, 5, 3]\\n[receivers.R]\\nposition = [4.0, 3.5, 1.2]"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     campaign = read_campaign(file, to_fit=False)
+    >>> [point.name for point in campaign.receivers]
+    ['R']
     """
     path = Path(path)
     content = read_toml(path)

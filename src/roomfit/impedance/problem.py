@@ -1,4 +1,14 @@
-"""Least squares of pressures: unknowns of a problem, weighted residuals, priors and Jacobians."""
+"""Least squares of pressures: unknowns of a problem, weighted residuals, priors and Jacobians.
+
+Gains are eliminated by variable projection [1]_ with Kaufman's derivative [2]_.
+
+References
+----------
+.. [1] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares
+       problems whose variables separate", SIAM J. Numer. Anal. 10, 413-432 (1973).
+.. [2] L. Kaufman, "A variable projection method for solving separable nonlinear least squares
+       problems", BIT 15, 49-57 (1975).
+"""
 
 from __future__ import annotations
 
@@ -200,7 +210,6 @@ def data_rows(problem: Problem, x: FloatArray, correction: ComplexArray) -> Rows
     model, turned = weight * predicted, weight[:, :, None] * slope
     missing = weight * observed.pressure
     if problem.nuisances.free_spectra:
-        # variable projection (Golub and Pereyra 1973) with Kaufman's derivative (1975)
         gain = _of_source(problem, model, missing[:, :, None])
         missing = missing - model * gain[:, :, 0]
         turned = turned * gain

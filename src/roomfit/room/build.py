@@ -182,8 +182,11 @@ def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
             hint = "delete these faces in the drawing program (in Blender: Degenerate Dissolve)"
             what, at = "faces without area", points_m
             found.append(
-                fault(code, what, where=where, found=f"{n}", needed=needed, hint=hint, points_m=at)
-            )
+                fault(
+                    Code.ZERO_AREA_FACE, what, where=where, found=str(n), needed=needed, hint=hint,
+                    points_m=at,
+                )
+            )  # fmt: skip
         elif code in _SENTENCES:
             text = f"{count} {_SENTENCES[code]}: {where}."
             found.append(Finding(code, about, text, {"places": named}))

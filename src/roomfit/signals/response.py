@@ -300,8 +300,12 @@ def compare_onset(
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
     graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
     advised = Remedy([Edit(("measurements", "*"), "time_zero", "direct", now=["emission"])])
-    about, code = About(files=[where]), Code.TIME_ZERO_MISMATCH
-    return (Finding(code, about, sentence, evidence, graded=graded, remedies=[advised]),)
+    about = About(files=[where])
+    return (
+        Finding(
+            Code.TIME_ZERO_MISMATCH, about, sentence, evidence, graded=graded, remedies=[advised]
+        ),
+    )
 
 
 def time_zero_from_direct(
