@@ -25,7 +25,9 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 
 # The files that take longest, so that none begins when another worker has nothing left to do. The
 # second needs hardly a kernel: while the first compiles them, it compiles none of them as well.
+# The first must find no thread that other tests have left, beside which no copy is made.
 LONGEST = (
+    "test_forks.py",
     "fit/test_identify.py",
     "test_output_folders.py",
     "paper/test_command.py",

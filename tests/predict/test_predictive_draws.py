@@ -136,12 +136,12 @@ def test_a_wall_whose_share_is_unknown_is_exchanged_within_the_interval(cases):
 @pytest.mark.slow
 def test_draws_go_through_the_file_and_old_files_do_without(tmp_path):
     result = make_case(1).result
-    assert result.draws is not None
-    assert result.draws.shape == (FEW.n_draws, 6, 1)
+    own = roomfit.absorption_posterior(result).draws
+    assert own is not None and own.shape == (FEW.n_draws, 6, 1)
     write_result(tmp_path, result, ())
     read = read_result(tmp_path / "result.json")
     assert read.draws is not None
-    np.testing.assert_allclose(read.draws, result.draws, atol=0.5001e-5)
+    np.testing.assert_allclose(read.draws, own, atol=0.5001e-5)
     rng = np.random.default_rng(1)
     np.testing.assert_array_equal(draw_absorption(read, 50, rng), read.draws[:50])
     old = draw_absorption(replace(read, draws=None), 50, np.random.default_rng(1))

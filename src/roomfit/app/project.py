@@ -137,7 +137,7 @@ def differences(
     yield from (Edit(above, key, None) for key in now if key not in then)
     for key, value in then.items():
         old = now.get(key)
-        if isinstance(value, Mapping) and value:
+        if isinstance(value, Mapping) and (value or isinstance(old, Mapping)):
             yield from differences(old if isinstance(old, Mapping) else {}, value, *above, key)
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
             for number, row in enumerate(value, start=1):

@@ -155,10 +155,10 @@ def locked(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     while taken is None:
         with _made(path):
             descriptor = os.open(lock, flags, 0o666)
-            held = _try_lock(descriptor, wait_s)
+            is_locked = _try_lock(descriptor, wait_s)
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), lock.stat()):
-                    taken = held
+                    taken = is_locked
         if taken is not True:
             os.close(descriptor)  # another's, or its last owner has just removed it
     if not taken:

@@ -108,14 +108,14 @@ def check_shifts(evidence: Evidence) -> Iterator[Finding]:
     far = np.flatnonzero(np.abs(geometry.change[:n]) / prior_sd > _LARGEST_SHIFT_SD)
     if far.size:
         names = [geometry.labels[i] for i in far]
-        change, told_sd = geometry.change[far].tolist(), geometry.prior_sd[far].tolist()
+        change, stated_sd = geometry.change[far].tolist(), geometry.prior_sd[far].tolist()
         yield Finding(
             Code.GEOMETRY_SHIFT_IMPLAUSIBLE,
             _about_points(evidence.measured.scene, {n.rpartition(" ")[0] for n in names}),
             f"To explain the arrival times, the fit moved {', '.join(names)} by more than "
             f"{_LARGEST_SHIFT_SD:g} prior standard deviations: it may be specified wrongly, or "
             "compensate for an error of the model. Check it.",
-            {"labels": names, "change": change, "told_sd": told_sd},
+            {"labels": names, "change": change, "told_sd": stated_sd},
         )
 
 

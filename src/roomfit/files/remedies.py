@@ -174,7 +174,7 @@ def _resolved(
     rows: _Rows = {}
     edits = []
     for edit in remedy.edits:
-        for table, now in _places(edit, finding, campaign, content):
+        for table, now in _meant_tables(edit, finding, campaign, content):
             if edit.now and now not in edit.now:
                 if remedy.words:  # those of all edits together
                     return {}, []
@@ -187,7 +187,7 @@ def _resolved(
     return rows, edits
 
 
-def _places(
+def _meant_tables(
     edit: Edit, finding: Finding, campaign: Campaign, content: _Content
 ) -> Iterator[tuple[tuple[str | int, ...], Any]]:
     """Yield the tables that an edit means, a recording by its place, and what is said there."""

@@ -221,7 +221,7 @@ def displacement_model(
 ) -> DisplacementModel | None:
     """Return what is needed to displace a fitted room; None where there is too little to go by."""
     scene, bands, paths = measured.scene, measured.bands, traced.paths
-    if not offsets or not _tells_positions(measured, traced):
+    if not offsets or not _determines_positions(measured, traced):
         return None
     c = speed_of_sound_m_s(scene.air)
     reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
@@ -268,7 +268,7 @@ def displacement_model(
     return DisplacementModel(measured, traced, offsets, moved_m, *how, tuple(out[::-1]))
 
 
-def _tells_positions(measured: Measurements, traced: TracedPaths) -> bool:
+def _determines_positions(measured: Measurements, traced: TracedPaths) -> bool:
     """Whether there are responses and early images enough, and few walls to look them up on."""
     mesh = measured.scene.room.mesh
     n_fitted = sum(m.measurement.use == "fit" for m in measured.responses)
