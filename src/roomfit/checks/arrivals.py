@@ -113,7 +113,7 @@ def arrival_verdicts(scene: Scene, measurements: Sequence[Measurement]) -> _Verd
         displaced = verdicts[0].finding.about.files
         rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
         late = rest and (_one_delay(rest) or _delays(rest))
-        verdicts = (*(late.verdicts if late else ()), *verdicts)
+        verdicts = late.verdicts + verdicts if late else verdicts
     return verdicts
 
 

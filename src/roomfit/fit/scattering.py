@@ -39,7 +39,6 @@ from roomfit.model.scattering import (
 )
 from roomfit.room.scene import Scene, select_pairs
 from roomfit.settings import Settings
-from roomfit.signals.noise import NoiseEstimate
 from roomfit.solver import COMPARED_SD, fit_band
 from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.trace import trace
@@ -332,7 +331,9 @@ def _energy_fit(
     pairs = np.unique([m.pair for m in observed])
     scene, responses = select_pairs(measurements.scene, pairs), []
     for m in observed:
-        noise = NoiseEstimate(*(getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)))
+        noise = replace(
+            m.noise, **{f.name: getattr(m.noise, f.name)[chosen] for f in fields(m.noise)}
+        )
         pair = int(np.searchsorted(pairs, m.pair))
         responses.append(replace(m, pair=pair, noise=noise, fit_end_s=m.fit_end_s[chosen]))
     retracer = Retracer(scene, own, trace_settings)
