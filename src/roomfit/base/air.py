@@ -67,10 +67,7 @@ def relative_speed_sd(air: Air, temperature_sd_c: float) -> float:
 
     The speed grows as the root of the thermodynamic temperature T, so ``dc / c = dT / (2 T)``.
 
-    Parameters
-    ----------
-    temperature_sd_c : float
-        Standard deviation of `air.temperature_c`, 0 or more, in kelvins.
+    `temperature_sd_c`: standard deviation of `air.temperature_c`, 0 or more, in kelvins.
 
     Examples
     --------
@@ -89,14 +86,8 @@ def cramer_speed_m_s(temperature_c: float, relative_humidity: float, pressure_pa
     300 ppm where ``x_w`` is below 0.06. `speed_of_sound_m_s` keeps to the ranges within which it
     was fitted, so nothing is checked here.
 
-    Parameters
-    ----------
-    temperature_c : float
-        0 to 30 degrees Celsius.
-    relative_humidity : float
-        0 to 1.
-    pressure_pa : float
-        75 to 102 kPa, in Pa.
+    `temperature_c`: 0 to 30 degrees Celsius. `relative_humidity`: 0 to 1. `pressure_pa`: 75 to 102
+    kPa, in Pa.
 
     References
     ----------
@@ -124,11 +115,8 @@ def attenuation_per_m(air: Air, bands: Bands) -> FloatArray:
 
     Energy falls as ``exp(-m d)`` over d metres; 10 log10(e) m is the standard's figure in dB/m.
 
-    Returns
-    -------
-    float array, shape (n_bands,)
-        1/m; zeros where `air.attenuation` is "none". Below 50 Hz the value at 50 Hz, less than
-        1e-4 dB over a room.
+    The result has the shape (n_bands,): 1/m; zeros where `air.attenuation` is "none". Below 50 Hz
+    the value at 50 Hz, less than 1e-4 dB over a room.
 
     Examples
     --------
@@ -168,15 +156,8 @@ def iso9613_attenuation_db_per_m(
     200 kPa and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` keeps to that in
     temperature and pressure, so nothing is checked here.
 
-    Parameters
-    ----------
-    frequency_hz : float array, shape (n,)
-    temperature_c : float
-        Degrees Celsius.
-    humidity_percent : float
-        Relative humidity, 0 to 100 %.
-    pressure_pa : float
-        Atmospheric pressure, Pa.
+    `frequency_hz`, shape (n,). `temperature_c`: degrees Celsius. `humidity_percent`: relative
+    humidity, 0 to 100 %. `pressure_pa`: atmospheric pressure, Pa.
 
     References
     ----------

@@ -84,13 +84,7 @@ def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
 
 
 def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
-    """Return the exact centres ``1000 * 10**(3 k / (10 b))`` nearest to nominal ones.
-
-    Raises
-    ------
-    InputError
-        A frequency lies more than 3 % from every centre of that kind.
-    """
+    """Return the exact centres ``1000 * 10**(3 k / (10 b))`` nearest to nominal ones."""
     nominal = np.asarray(nominal_hz, dtype=np.float64)
     step = 0.3 / _STEPS_PER_OCTAVE[kind]
     exact = 1000.0 * 10.0 ** (step * np.round(np.log10(nominal / 1000.0) / step))

@@ -217,17 +217,7 @@ class Code(StrEnum):
 def code_of(text: object, where: str) -> Code:
     """Return the code that stands in a file.
 
-    Parameters
-    ----------
-    text : object
-        As read.
-    where : str
-        The file, for the message.
-
-    Raises
-    ------
-    InputError
-        No finding has this code.
+    `text`: as read. `where`: the file, for the message.
     """
     code = next((code for code in Code if code == text), None)
     if code is None:

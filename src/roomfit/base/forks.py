@@ -89,12 +89,8 @@ def in_forks(function: Callable[[Item], T], items: Sequence[Item]) -> list[T]:
     Whoever is free takes the next item, so the longest should come first. Of errors, that of the
     first item is raised. Nothing of the copies is left, however this ends.
 
-    Parameters
-    ----------
-    function : callable
-        Of one item; what it changes beside its result is lost in copies.
-    items : sequence
-        Up to 10,000; more are done one after the other.
+    `function`: of one item; what it changes beside its result is lost in copies. `items`: up to
+    10,000; more are done one after the other.
 
     Examples
     --------

@@ -34,14 +34,10 @@ def kernel(
     on every run. It is compiled once for each type of its arguments; a number written into a call
     is not, as it is for numba by itself, one of its own.
 
-    Parameters
-    ----------
-    allocates : bool
-        Whether the function, or one that it calls, makes arrays. Where none does, False spares the
-        counting of references, which costs more than a short function that takes tuples of arrays.
-    inlined : bool
-        Whether the function is copied into each function that calls it. Every array of a tuple is
-        handed over as seven numbers or more, so that a call can cost as much as its work.
+    `allocates`: whether the function, or one that it calls, makes arrays. Where none does, False
+    spares the counting of references, which costs more than a short function that takes tuples of
+    arrays. `inlined`: whether the function is copied into each function that calls it. Every array
+    of a tuple is handed over as seven numbers or more, so that a call can cost as much as its work.
     """
 
     options: dict[str, Any] = {
@@ -117,16 +113,8 @@ def keep_one_blas_thread() -> None:
 def at_most_threads(wanted: int | None = None) -> Iterator[None]:
     """Let kernels called from this thread, and copies of this process, take so many cores.
 
-    Parameters
-    ----------
-    wanted : int, optional
-        1 or more, of which there are no more than the machine has. Left out: as the variable
-        ``ROOMFIT_THREADS`` of the environment says; without it, as it is.
-
-    Raises
-    ------
-    InputError
-        The variable is no whole number from 1 up.
+    `wanted`: 1 or more, of which there are no more than the machine has. Left out: as the variable
+    ``ROOMFIT_THREADS`` of the environment says; without it, as it is.
     """
     most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     said = os.environ.get(_THREADS, "") if wanted is None else str(wanted)

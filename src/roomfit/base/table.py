@@ -101,15 +101,6 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
     """Return a table for a terminal: caption, heading, rows, notes.
 
     Smaller lines stand in brackets, or below where the table would be wider than 100 characters.
-
-    Examples
-    --------
-    >>> rows = [("wall", 0.25, Cell("2", ("1 to 3",))), ("a longer one", float("nan"), "-")]
-    >>> print(text_of(Table("Two rows", ("name", "value", "words"), rows, form=".3f")))
-    Two rows
-    name          value       words
-    wall          0.250  2 (1 to 3)
-    a longer one      -           -
     """
     columns = shown.described()
     height = max((c.name.count("\n") for c in columns), default=0)

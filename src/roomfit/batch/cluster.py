@@ -76,11 +76,6 @@ def completed(client: Any, tasks: Iterable[Callable[[], object]]) -> Iterator[tu
     Dask blames a worker's death on every task that was given to it, those that only waited there
     included. A task given up for it is therefore tried once more when no other is left that could
     be the cause.
-
-    Raises
-    ------
-    StoreError
-        The connection to the scheduler is lost.
     """
     distributed = _distributed()
     waiting = enumerate(tasks)
@@ -128,13 +123,7 @@ def _died(future: Any) -> bool:
 
 
 def result_of(future: Any) -> Any:
-    """Return what a task returned, or raise what it raised.
-
-    Raises
-    ------
-    InsufficientDataError
-        Every worker that had the task died of it.
-    """
+    """Return what a task returned, or raise what it raised."""
     if _died(future):
         deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
         raise InsufficientDataError(
@@ -175,22 +164,11 @@ def cluster_client(
     own configuration (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds,
     as files or as variables of the environment.
 
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a running scheduler, as ``tcp://10.0.0.1:8786`` or ``tls://...``. Without it, a
-        cluster of processes on this machine is started, which listens on the loopback alone and
-        ends with the block.
-    n_workers : int
-        Processes of that own cluster, one thread each, renewed every hour.
-    warm : callable, optional
-        Called once on each machine before the first task: compiles what is kept on disk.
-
-    Raises
-    ------
-    InputError
-        dask.distributed is not installed, no scheduler answers, it has no workers, or these run
-        another version of Python, roomfit or numba, or have too little memory for a room.
+    `scheduler`: address of a running scheduler, as ``tcp://10.0.0.1:8786`` or ``tls://...``.
+    Without it, a cluster of processes on this machine is started, which listens on the loopback
+    alone and ends with the block. `n_workers`: processes of that own cluster, one thread each,
+    renewed every hour. `warm`: called once on each machine before the first task: compiles what is
+    kept on disk.
     """
     if n_workers < 1:
         what, hint = "number of workers is out of range", "give the number of cores"

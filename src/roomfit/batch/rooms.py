@@ -148,31 +148,13 @@ def identify_rooms(
     that failed are. A room that fails stops no other, and one that another run is identifying is
     left to it.
 
-    Parameters
-    ----------
-    campaigns : sequence of Path
-    out : Path
-        A folder, made if needed; it may hold results of this and of other batches. With several
-        machines all of them must reach it, and the campaigns, by the same paths.
-    client : dask client, optional
-        See `roomfit.batch.cluster`; by default one room after the other in this process.
-    shard : tuple of int
-        i and n: only every n-th room from the i-th is identified; the table shows all.
-    quick : bool
-        First answers, see `Settings.quick`; the next run without it gives the full ones.
-    progress : callable, optional
+    `out`: A folder, made if needed; it may hold results of this and of other batches. With several
+    machines all of them must reach it, and the campaigns, by the same paths. `client`: see
+    `roomfit.batch.cluster`; by default one room after the other in this process. `shard`: i and n:
+    only every n-th room from the i-th is identified; the table shows all. `quick`: first answers,
+    see `Settings.quick`; the next run without it gives the full ones.
 
-    Returns
-    -------
-    tuple of RoomRow
-        Of all campaigns, in their order.
-
-    Raises
-    ------
-    InputError
-        The shard is out of range, or `out` is a file.
-    StoreError
-        The disk refuses, or the connection to a cluster is lost.
+    The result is Of all campaigns, in their order.
     """
     out, tasks = Path(out).absolute(), room_tasks(campaigns, quick=quick)
     own = shard_of(tasks, shard)

@@ -55,11 +55,6 @@ def identify_campaign_impedance(
 
     The same as `impedance_arguments`, then `roomfit.identify_impedance` with the campaign's seed.
     What is marked for validation is not read.
-
-    Raises
-    ------
-    InputError
-        Something in the campaign, the room or a file is not as needed.
     """
     given, doubts = impedance_arguments(campaign)
     seed = campaign.settings.seed
@@ -76,15 +71,7 @@ def impedance_to_folder(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ImpedanceResult:
-    """Identify impedances and write result.json, impedance.csv and pictures into a folder.
-
-    Raises
-    ------
-    InputError
-        Something in the campaign, the room, a file or the output folder is not as needed.
-    StoreError
-        The disk refuses.
-    """
+    """Identify impedances and write result.json, impedance.csv and pictures into a folder."""
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))

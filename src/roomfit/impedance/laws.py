@@ -286,17 +286,8 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
 class WallModel:
     """How R0, the reflection coefficient of one material, is to depend on frequency.
 
-    Parameters
-    ----------
-    kind : str
-        "spline" (any smooth course of a passive, causal wall), or "constant".
-    start_r0 : complex
-        Where it starts, ``|start_r0| <= 1``.
-
-    Raises
-    ------
-    InputError
-        An unknown kind, or a start that is not passive.
+    `kind`: "spline" (any smooth course of a passive, causal wall), or "constant". `start_r0`: where
+    it starts, ``|start_r0| <= 1``.
 
     Examples
     --------

@@ -200,26 +200,13 @@ DelayMode = Literal["source", "pair"]
 class Nuisances:
     """What may be wrong about a measurement, and is estimated together with the walls.
 
-    Parameters
-    ----------
-    position_sd_m : float
-        Prior standard deviation of every coordinate for which the scene specifies none, 0 to 1 m;
-        0 takes them as exact.
-    speed_sd : float
-        Prior standard deviation of the speed of sound, relative, 0 to 0.2; 0 takes it as exact.
-    gain : {"known", "common", "source", "pair", "spectrum", "pair-spectrum"}
-        known: pressures are absolute. common, source, pair: one unknown complex gain for all, for
-        each source or for each pair. spectrum: one for each source and frequency; pair-spectrum:
-        that, and one for each pair.
-    delay_sd_s : float
-        Prior standard deviation of the time of emission, 0 to 0.1 s; 0 takes it as exact.
-    delay : {"source", "pair"}
-        One time for each source, or one for each pair, as of files that were cut one by one.
-
-    Raises
-    ------
-    InputError
-        A number out of its range, or an unknown kind of gain or delay.
+    `position_sd_m`: prior standard deviation of every coordinate for which the scene specifies
+    none, 0 to 1 m; 0 takes them as exact. `speed_sd`: prior standard deviation of the speed of
+    sound, relative, 0 to 0.2; 0 takes it as exact. `gain`: known: pressures are absolute. common,
+    source, pair: one unknown complex gain for all, for each source or for each pair. spectrum: one
+    for each source and frequency; pair-spectrum: that, and one for each pair. `delay_sd_s`: prior
+    standard deviation of the time of emission, 0 to 0.1 s; 0 takes it as exact. `delay`: one time
+    for each source, or one for each pair, as of files that were cut one by one.
 
     Examples
     --------

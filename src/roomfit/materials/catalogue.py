@@ -61,10 +61,7 @@ def distinct(readings: FloatArray) -> FloatArray:
 
     `readings`, shape (n_readings, 8): absorption in octaves from 63 Hz; NaN where not printed.
 
-    Returns
-    -------
-    float array, shape (n_distinct, 8)
-        In the order of first appearance.
+    The result has the shape (n_distinct, 8): in the order of first appearance.
     """
     kept: dict[tuple[float, ...], FloatArray] = {}
     for row in readings:
@@ -215,11 +212,6 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
 def find_material(name: str) -> CatalogueEntry:
     """Return the entry of that name; case does not matter, and blanks stand for hyphens.
 
-    Raises
-    ------
-    InputError
-        There is none; the message has the nearest name.
-
     Examples
     --------
     >>> find_material("Carpet on underlay").name
@@ -338,24 +330,11 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
     `roomfit.materials.priors.logit_prior` turns the two into logit absorption again.
 
-    Parameters
-    ----------
-    name : str
-        See `find_material`.
-    bands : Bands
-        Octaves or third octaves. Between the octaves of the catalogue logit mean and spread are
-        interpolated linearly in the logarithm of frequency; beyond 63 Hz and 8 kHz the mean is
-        held and the spread widened further for every octave.
+    `name`: see `find_material`. `bands`: octaves or third octaves. Between the octaves of the
+    catalogue logit mean and spread are interpolated linearly in the logarithm of frequency; beyond
+    63 Hz and 8 kHz the mean is held and the spread widened further for every octave.
 
-    Returns
-    -------
-    mean, sd : float arrays, shape (n_bands,)
-        0.005 <= mean <= 0.98; sd above 0.
-
-    Raises
-    ------
-    InputError
-        There is no material of that name, or it is an area of one piece.
+    The result has the shape (n_bands,): 0.005 <= mean <= 0.98; sd above 0.
     """
     if find_material(name).group == _PIECES:
         raise InputError(
@@ -388,11 +367,6 @@ def object_catalogue_area(
 
     Of one piece, or of 1 m2 of floor on which people or seats stand: their absorption coefficient;
     shape (n_bands,) each.
-
-    Raises
-    ------
-    InputError
-        There is no such entry, or it is one of the other kind.
     """
     if (find_material(name).group == _PIECES) == by_floor:
         raise InputError(

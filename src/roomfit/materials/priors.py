@@ -135,12 +135,7 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
 
     To first order: ``sd_logit = sd / (mean (1 - mean))``.
 
-    Parameters
-    ----------
-    mean : float array
-        0 < mean < 1.
-    sd : float array
-        Above 0, dimensionless.
+    `mean`: 0 < mean < 1. `sd`: above 0, dimensionless.
     """
     return logit(mean, 0.0), sd / (mean * (1.0 - mean))
 
@@ -148,12 +143,8 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
 def logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray:
     """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself.
 
-    Parameters
-    ----------
-    mean, sd : float arrays, shape (n_bands,)
-        Of absorption coefficients; the mean is taken as 0.0001 to 0.9999.
-    z : float array, shape (n_draws,)
-        Standard normal numbers, one a draw for all bands.
+    `mean, sd`, shape (n_bands,): of absorption coefficients; the mean is taken as 0.0001 to 0.9999.
+    `z`, shape (n_draws,): standard normal numbers, one a draw for all bands.
     """
     middle, width = logit_prior(np.clip(mean, 1e-4, 1.0 - 1e-4), sd)
     drawn = expit(middle + width * z[:, None])
@@ -169,11 +160,9 @@ def prior_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, Floa
     out. Where the absorption of some of them is known, the law of the others is the one given that;
     the known ones keep theirs, and are correlated with none.
 
-    Returns
-    -------
-    mean : float array, shape (n_materials, n_bands)
-    covariance : float array, shape (n_bands, n_materials, n_materials)
-        Singular where materials are tied to each other, positive definite among all others.
+    `mean` has the shape (n_materials, n_bands). `covariance` has the shape (n_bands, n_materials,
+    n_materials): singular where materials are tied to each other, positive definite among all
+    others.
     """
     names = [k.name for k in priors]
     leader = np.array([names.index(k.tied_to or k.name) for k in priors])
@@ -257,20 +246,7 @@ def object_absorption(area_m2: FloatArray, volume_m3: float) -> FloatArray:
     ``1 - exp(-A step / (4 V))``: rays cross a volume V evenly in a diffuse field, and those that
     would meet an area A of full absorption are lost (ISO 354, where A is that of objects).
 
-    Parameters
-    ----------
-    area_m2 : float array
-        Equivalent absorption area A, 0 or more.
-    volume_m3 : float
-        Of the room.
-
-    Examples
-    --------
-    In 100 m3 with 4 m2 the energy of sound falls to 1/e in 100 m, 200 steps:
-
-    >>> left = (1.0 - object_absorption(np.array(4.0), 100.0)) ** 200
-    >>> round(float(left), 3)
-    0.368
+    `area_m2`: equivalent absorption area A, 0 or more. `volume_m3`: of the room.
     """
     return np.asarray(-np.expm1(-area_m2 * OBJECT_STEP_M / (4.0 * volume_m3)))
 
@@ -293,20 +269,10 @@ def object_prior(
     To be given to `roomfit.identify` among the materials; the room has the object by
     `roomfit.room.scene.with_objects`.
 
-    Parameters
-    ----------
-    volume_m3 : float
-        Of the room, above 0.
-    absorption_area_m2 : array_like, shape () or (n_bands,), optional
-        Known area of all its pieces together, 0 or more, in m2.
-    prior_m2 : (mean, standard deviation), optional
-        Of an unknown one, each above 0 and of shape () or (n_bands,): a logit-normal law of this
-        mean and standard deviation, to first order, between 0 and 8 standard deviations more.
-
-    Raises
-    ------
-    InputError
-        Not one of the two is given, or an area is out of range.
+    `volume_m3`: of the room, above 0. `absorption_area_m2`, shape () or (n_bands,): known area of
+    all its pieces together, 0 or more, in m2. `prior_m2`: of an unknown one, each above 0 and of
+    shape () or (n_bands,): a logit-normal law of this mean and standard deviation, to first order,
+    between 0 and 8 standard deviations more.
     """
     where, n = f"objects.{name}", len(bands)
     if (absorption_area_m2 is None) == (prior_m2 is None):
@@ -361,19 +327,7 @@ def complete_priors(
 ) -> tuple[MaterialPrior, ...]:
     """Return a prior for each material of a room, in their order: by default the broad one.
 
-    Parameters
-    ----------
-    materials : sequence of str
-        Of the room.
-    priors : sequence of MaterialPrior
-        In any order, in these bands.
-
-    Raises
-    ------
-    InputError
-        A prior of a material that the room does not have, two of one material, priors of another
-        number of bands, a tie to a material that is tied itself or not there, or materials of one
-        product with different priors.
+    `materials`: of the room. `priors`: in any order, in these bands.
     """
     unique_names("prior", [k.name for k in priors])
     by_name = {k.name: k for k in priors}
@@ -486,13 +440,7 @@ def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scatte
 
 
 def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) -> FloatArray:
-    """Return a copy of the coefficients in the order of a room's materials, their last axis.
-
-    Raises
-    ------
-    InputError
-        The two name different materials.
-    """
+    """Return a copy of the coefficients in the order of a room's materials, their last axis."""
     if set(scattering.materials) != set(materials):
         raise InputError(
             "scattering and room name different materials",

@@ -58,11 +58,6 @@ def run_paper(
     """Repeat the paper and write paper.json, table2.csv and pictures into a folder.
 
     Nothing is written before everything is known. Seeds are those of `repeat_paper`.
-
-    Raises
-    ------
-    InputError
-        The folder exists and is not empty, and `overwrite` is false.
     """
     check_output_folder(folder, overwrite=overwrite)
     result = repeat_paper(seeds, progress=progress)

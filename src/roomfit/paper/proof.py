@@ -76,12 +76,8 @@ def certify(
 ) -> Certificate:
     """Return a proof of how low the error can be, and where it comes within `delta` of that.
 
-    Parameters
-    ----------
-    width : float
-        Boxes left over are no wider, in absorption.
-    most_boxes : int
-        After so many the search stops; what it says then is proven all the same.
+    `width`: boxes left over are no wider, in absorption. `most_boxes`: after so many the search
+    stops; what it says then is proven all the same.
     """
     error = _ErrorOverBoxes(problem)
     n, order = len(problem.rows.materials), itertools.count()

@@ -87,10 +87,7 @@ def repeat_paper(seeds: int, *, progress: Progress | None = None) -> PaperResult
 
     Every search depends on its problem, its method and its seed alone.
 
-    Parameters
-    ----------
-    seeds : int
-        Searches of every problem by every method, 1 to 100,000.
+    `seeds`: searches of every problem by every method, 1 to 100,000.
     """
     check_range("number of seeds", seeds, 1, 100_000)
     shapes = sorted({s.shape for s in SPECIFICATIONS.values()})

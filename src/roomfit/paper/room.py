@@ -143,14 +143,8 @@ def trace_paper_room(
 ) -> Paths:
     """Return the rays of all three pairs, as the paper traces: specular, 0.2 s, no image sources.
 
-    Parameters
-    ----------
-    scene : Scene
-        From `paper_scene`.
-    n_rays : int
-        For each source.
-    directions : {"fibonacci", "sobol"}
-        Fibonacci is the reconstruction's own; Sobol differs from seed to seed.
+    `scene`: from `paper_scene`. `n_rays`: for each source. `directions`: fibonacci is the
+    reconstruction's own; Sobol differs from seed to seed.
     """
     settings = TraceSettings(
         DURATION_S,

@@ -54,18 +54,9 @@ def decay_curve(
 ) -> DecayCurve:
     """Return the decay curves of a measured response.
 
-    Parameters
-    ----------
-    onset_s : float
-        Arrival of the direct sound after emission, from `find_onset` or from the geometry.
-    keep_noise : bool
-        Whether to integrate the whole file with its noise instead, for comparison with values
-        that were computed so. `usable_db` stays the same.
-
-    Raises
-    ------
-    InputError
-        The file ends before the onset, or a band reaches above half the sampling rate.
+    `onset_s`: arrival of the direct sound after emission, from `find_onset` or from the geometry.
+    `keep_noise`: whether to integrate the whole file with its noise instead, for comparison with
+    values that were computed so. `usable_db` stays the same.
 
     Notes
     -----
@@ -118,14 +109,9 @@ def echogram_decay_curve(
 
     After the last bin the decay is extrapolated as over the last third of the time.
 
-    Parameters
-    ----------
-    energies : float array, shape (n_bands, n_bins)
-        0 or more, arriving within each bin, not per second.
-    edges_s : float array, shape (n_bins + 1,)
-        Rising times after emission.
-    onset_s : float
-        Arrival of the direct sound.
+    `energies`, shape (n_bands, n_bins): 0 or more, arriving within each bin, not per second.
+    `edges_s`, shape (n_bins + 1,): rising times after emission. `onset_s`: arrival of the direct
+    sound.
     """
     energy_left = np.stack([_backward_sum(row) for row in energies])
     tail, unsure, constant_s = tail_of(energy_left, edges_s)
@@ -144,13 +130,8 @@ def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
     put through what is predicted, with the noise that the measurement had, so that both curves
     have the same error.
 
-    Parameters
-    ----------
-    predicted : DecayCurve
-        From `echogram_decay_curve`, in the bands of `measured`; a band that ends before the
-        measured one stays as it is.
-    measured : DecayCurve
-        From `decay_curve`.
+    `predicted`: from `echogram_decay_curve`, in the bands of `measured`; a band that ends before
+    the measured one stays as it is. `measured`: from `decay_curve`.
     """
     found = {
         name: getattr(predicted, name).copy()
@@ -252,11 +233,6 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
 
     `parameter`: "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or
     "STI".
-
-    Raises
-    ------
-    InputError
-        The standard has none for this parameter.
 
     Examples
     --------
@@ -388,10 +364,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 
     `curve`: from `decay_curve` or `echogram_decay_curve`.
 
-    Returns
-    -------
-    RoomParameters
-        ``values`` of shape (7, n_bands), in the units that `PARAMETER_NAMES` end in.
+    The result is ``values`` of shape (7, n_bands), in the units that `PARAMETER_NAMES` end in.
 
     Notes
     -----
@@ -403,17 +376,6 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
     References
     ----------
     .. [1] ISO 3382-1:2009, "Measurement of room acoustic parameters - Performance spaces".
-
-    Examples
-    --------
-    An exponential decay by 60 dB in one second:
-
-    >>> edges_s = np.linspace(0.0, 2.0, 401)
-    >>> energies = -np.diff(10.0 ** (-6.0 * edges_s))[None, :]
-    >>> octave = Bands("octave", np.array([1000.0]))
-    >>> parameters = room_parameters(echogram_decay_curve(octave, energies, edges_s, onset_s=0.0))
-    >>> parameters.of("T30_s").round(3), parameters.of("C80_dB").round(2)
-    (array([1.]), array([3.05]))
     """
     levels_db = decay_curve_db(curve)
     values = np.full((len(PARAMETER_NAMES), len(curve.bands)), np.nan)

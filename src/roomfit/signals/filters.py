@@ -104,13 +104,7 @@ def statistical_bandwidth_hz(bands: Bands) -> FloatArray:
 
 
 def check_sampling_rate(bands: Bands, sampling_rate_hz: float, where: str | None = None) -> None:
-    """Refuse a sampling rate at which some band does not fit below half of it.
-
-    Raises
-    ------
-    InputError
-        With the band and the lowest rate at which it can be analysed.
-    """
+    """Refuse a sampling rate at which some band does not fit below half of it."""
     # a filter ends where the next band of its kind has its centre
     top_hz = float(bands.upper_hz[-1] ** 2 / bands.exact_centres_hz[-1])
     if top_hz > 0.5 * sampling_rate_hz:
@@ -130,15 +124,8 @@ def filter_pressure(bands: Bands, response: ImpulseResponse) -> FloatArray:
     The filters ring before an impulse as much as after it: use `padded` first where sound begins
     at the very start of the file and its energy matters.
 
-    Returns
-    -------
-    float array, shape (n_bands, n_samples)
-        On the same samples as `response`. Nothing wraps from the end to the beginning.
-
-    Raises
-    ------
-    InputError
-        A band reaches above half the sampling rate.
+    The result has the shape (n_bands, n_samples): on the same samples as `response`. Nothing wraps
+    from the end to the beginning.
     """
     rate_hz = response.sampling_rate_hz
     check_sampling_rate(bands, rate_hz)
@@ -169,11 +156,9 @@ def window_energies(bands: Bands, response: ImpulseResponse, edges_s: FloatArray
     `edges_s`, shape (n_windows + 1,): rising times after emission. Before and after the file there
     is silence.
 
-    Returns
-    -------
-    float array, shape (n_bands, n_windows)
-        In the unit of pressure squared, scaled so that a lone sample of height a has the energy
-        a^2 in every band: the sum over paths of energy times `energy_share` is its expectation.
+    The result has the shape (n_bands, n_windows): in the unit of pressure squared, scaled so that a
+    lone sample of height a has the energy a^2 in every band: the sum over paths of energy times
+    `energy_share` is its expectation.
     """
     rate_hz = response.sampling_rate_hz
     long = padded(response, float(ringing_s(bands).max()))
@@ -216,17 +201,11 @@ def energy_share(
 ) -> FloatArray:
     """Return which share of an impulse's energy falls into each window (the second front end).
 
-    Parameters
-    ----------
-    delays_s : array_like, shape (n_impulses,)
-        When each impulse arrives.
-    edges_s : array_like, shape (n_windows + 1,)
-        Rising, on the same clock.
+    `delays_s`, shape (n_impulses,): when each impulse arrives. `edges_s`, shape (n_windows + 1,):
+    rising, on the same clock.
 
-    Returns
-    -------
-    float array, shape (n_impulses, n_windows)
-        Each row sums to at most 1; less where energy falls outside all windows.
+    The result has the shape (n_impulses, n_windows): each row sums to at most 1; less where energy
+    falls outside all windows.
     """
     edges, delays = (np.asarray(x, dtype=np.float64) for x in (edges_s, delays_s))
     periods = (edges[None, :] - delays[:, None]) * kernel.centres_hz[band]
@@ -246,10 +225,8 @@ def spreading_matrix(
 
     `delays_s`, shape (n_impulses,): rising.
 
-    Returns
-    -------
-    sparse array, shape (n_windows, n_impulses)
-        Without what an impulse leaves in windows that less than the kernel's least share reaches.
+    The result has the shape (n_windows, n_impulses): without what an impulse leaves in windows that
+    less than the kernel's least share reaches.
     """
     return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
 

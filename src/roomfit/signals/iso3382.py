@@ -41,30 +41,16 @@ def value_gradients(
 ) -> tuple[FloatArray, FloatArray]:
     """Return parameters of an echogram and their derivatives by the energies of its bins.
 
-    Parameters
-    ----------
-    curve : DecayCurve
-        From `roomfit.signals.decay.echogram_decay_curve`, for energies per square metre of a
-        source of unit power where G is asked for.
-    names : sequence of str
-        Of `VALUE_NAMES`.
-    derivative : bool
-        Without it the values come in half the time, and `gradients` is empty.
+    `curve`: from `roomfit.signals.decay.echogram_decay_curve`, for energies per square metre of a
+    source of unit power where G is asked for. `names`: of `VALUE_NAMES`. `derivative`: without it
+    the values come in half the time, and `gradients` is empty.
 
-    Returns
-    -------
-    values : float array, shape (n_names,)
-        As of `room_parameters`. A decay that does not fall far enough within the echogram is
-        evaluated as far as it falls, where `room_parameters` gives nan: a fit must be able to
-        return from there. G is the level above that of the free field at 10 m.
-    gradients : float array, shape (n_names, n_bins)
-        Exact, including the shift of the instants at which the curve crosses -5 dB and the like,
-        and the energy that is added for the time after the echogram.
-
-    Raises
-    ------
-    InputError
-        An echogram without energy.
+    `values` has the shape (n_names,): as of `room_parameters`. A decay that does not fall far
+    enough within the echogram is evaluated as far as it falls, where `room_parameters` gives nan: a
+    fit must be able to return from there. G is the level above that of the free field at 10 m.
+    `gradients` has the shape (n_names, n_bins): exact, including the shift of the instants at which
+    the curve crosses -5 dB and the like, and the energy that is added for the time after the
+    echogram.
     """
     left = curve.energy_left[band]
     total = float(left[0])
@@ -151,15 +137,9 @@ def values_of_bins(
     For differences between absorptions: a line goes through fewer levels than that of
     `value_gradients`.
 
-    Parameters
-    ----------
-    energies : float array, shape (n_points, n_bins)
-        Some energy in each row.
-    shares : float array, shape (2 n + 1,)
-        Of an energy that the filter carries from n bins before its own to n after it.
-    edges_s : float array, shape (n_bins + 1,)
-        Uniform.
-    onset_s : float
+    `energies`, shape (n_points, n_bins): some energy in each row. `shares`, shape (2 n + 1,): of an
+    energy that the filter carries from n bins before its own to n after it. `edges_s`, shape
+    (n_bins + 1,): uniform.
     """
     n_bins = len(edges_s) - 1
     step_s, reach = edges_s[1] - edges_s[0], len(shares) // 2
@@ -310,13 +290,7 @@ class MeasuredValues:
 
 
 def check_possible(name: ValueName, value: float, where: str) -> None:
-    """Refuse a value that no room has.
-
-    Raises
-    ------
-    InputError
-        With the value, the limits and the most frequent mistake.
-    """
+    """Refuse a value that no room has."""
     low, high, unit = POSSIBLE[name]
     if not low <= value <= high:
         raise InputError(
@@ -330,14 +304,7 @@ def check_possible(name: ValueName, value: float, where: str) -> None:
 
 
 def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Finding, ...]:
-    """Return a finding where values of one pair are not consistent.
-
-    Raises
-    ------
-    InputError
-        They cannot be of one response: C80 below C50, D50 of another C50, or decay times that
-        differ by a factor that no decay has.
-    """
+    """Return a finding where values of one pair are not consistent."""
     pair, doubts = f"{where}, {measured.source} to {measured.receiver}", []
     for band, centre_hz in enumerate(measured.centres_hz.tolist()):
         known = {k: float(v[band]) for k, v in measured.values.items() if np.isfinite(v[band])}

@@ -48,24 +48,10 @@ def source_magnitude(
     the responses disagree on it; it is zero for fewer than three responses, where its rms is below
     1 dB, and where all that is asked for lies above half of the sampling rate.
 
-    Parameters
-    ----------
-    measured : sequence of ImpulseResponse
-        Of one sampling rate.
-    reference : sequence of ImpulseResponse
-        Those that a model predicts for the same pairs, up to one factor for all.
-    until_s : sequence of float
-        How long after emission each pair is to be compared.
-    lowest_hz : float
-        Where the lowest band begins.
-    schroeder_hz : float
-        About here and below, single modes of the room decide, which no first guess of its walls
-        predicts: the level is weighted down.
-
-    Raises
-    ------
-    InputError
-        No response, or different sampling rates.
+    `measured`: of one sampling rate. `reference`: those that a model predicts for the same pairs,
+    up to one factor for all. `until_s`: how long after emission each pair is to be compared.
+    `lowest_hz`: where the lowest band begins. `schroeder_hz`: about here and below, single modes of
+    the room decide, which no first guess of its walls predicts: the level is weighted down.
     """
     rates = {r.sampling_rate_hz for r in (*measured, *reference)}
     if len(rates) != 1:

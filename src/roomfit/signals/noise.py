@@ -49,12 +49,8 @@ def estimate_noise(
 ) -> NoiseEstimate:
     """Return the noise floor and the usable end of every band.
 
-    Parameters
-    ----------
-    filtered : float array, shape (n_bands, n_samples)
-        The response by `filter_pressure`.
-    onset_s : float
-        Arrival of the direct sound after emission; earlier samples are not used.
+    `filtered`, shape (n_bands, n_samples): the response by `filter_pressure`. `onset_s`: arrival of
+    the direct sound after emission; earlier samples are not used.
 
     Notes
     -----

@@ -193,11 +193,6 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
 
     `where`, optional: names the response in a message.
 
-    Raises
-    ------
-    InputError
-        Nothing exceeds the noise.
-
     Notes
     -----
     Noise is the quietest tenth of the file; an offset is subtracted first.
@@ -278,14 +273,8 @@ def compare_onset(
 
     The length of three samples is added to that; the finding is serious from 3 m on.
 
-    Parameters
-    ----------
-    onset_s : float
-        Measured, from `find_onset`.
-    travel_s : float
-        Distance over speed of sound.
-    where : str
-        Names the response in the sentence.
+    `onset_s`: measured, from `find_onset`. `travel_s`: distance over speed of sound. `where`: names
+    the response in the sentence.
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
     if abs(apart_m) <= onset_tolerance_m(speed_of_sound_m_s, sampling_rate_hz):
@@ -314,11 +303,6 @@ def time_zero_from_direct(
     """Return the response on a clock by which its direct sound arrives after the travel time.
 
     For files that begin at the direct sound, or at an arbitrary instant.
-
-    Raises
-    ------
-    InputError
-        No direct sound.
     """
     shift_s = find_onset(response, where) - travel_s
     return replace(response, time_zero_s=response.time_zero_s + shift_s)

@@ -22,24 +22,11 @@ def scaled_response(
 ) -> FloatArray:
     """Return a response with the energy of its bands scaled over time, shape (n_samples,).
 
-    Parameters
-    ----------
-    response : ImpulseResponse
-        On the clock of `time_s`.
-    bands : Bands
-        What lies below the lowest and above the highest is scaled with these.
-    time_s : float array, shape (n_times,)
-        Rising; before the first and after the last the ratio stays as it is there.
-    ratio : float array, shape (n_bands, n_times)
-        Of energies, 0 or larger.
-    noise : NoiseEstimate, optional
-        From `estimate_noise`: the decay alone is scaled, the noise stays what it is. Left out:
-        there is none.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, a ratio is negative, or a band reaches above half the sampling rate.
+    `response`: on the clock of `time_s`. `bands`: what lies below the lowest and above the highest
+    is scaled with these. `time_s`, shape (n_times,): rising; before the first and after the last
+    the ratio stays as it is there. `ratio`, shape (n_bands, n_times): of energies, 0 or larger.
+    `noise`: from `estimate_noise`: the decay alone is scaled, the noise stays what it is. Left out:
+    there is none.
 
     Notes
     -----
@@ -50,13 +37,6 @@ def scaled_response(
     The magnitudes of the bands are squares of those of `frequency_response`: they add up to one at
     every frequency, without delay. What is added to the response is the sum of bands times gain
     minus one: where every ratio is 1 it comes back bit by bit.
-
-    Examples
-    --------
-    >>> response = ImpulseResponse(np.array([1.0, 0.5, 0.25]), 8000.0)
-    >>> octave = Bands("octave", np.array([1000.0]))
-    >>> scaled_response(response, octave, np.zeros(1), np.array([[4.0]])).round(9)
-    array([2. , 1. , 0.5])
     """
     ratios = float_array("ratios", ratio, (len(bands), len(time_s)), low=0.0)
     rate_hz, t, n = response.sampling_rate_hz, times_s(response), len(response.pressure)

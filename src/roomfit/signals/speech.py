@@ -63,17 +63,8 @@ def speech_bands(bands: Bands) -> IntArray:
 def speech_levels(level_dba: float, noise_db: ArrayLike | None = None) -> FloatArray:
     """Return octave levels of speech, and those of noise below them, in dB, shape (2, 7).
 
-    Parameters
-    ----------
-    level_dba : float
-        A-weighted level of speech; 60 dB at 1 m is a normal vocal effort.
-    noise_db : array_like, shape (7,), optional
-        Octave levels of noise, 125 Hz to 8 kHz; left out: none.
-
-    Raises
-    ------
-    InputError
-        Not seven levels, or one that is none.
+    `level_dba`: A-weighted level of speech; 60 dB at 1 m is a normal vocal effort. `noise_db`,
+    shape (7,): octave levels of noise, 125 Hz to 8 kHz; left out: none.
     """
     noise: FloatArray = np.full(7, -np.inf)
     if noise_db is not None:
@@ -97,18 +88,6 @@ def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> Floa
     ----------
     .. [1] M. R. Schroeder, "Modulation transfer functions: definition and measurement", Acustica
            49, 179-182 (1981).
-
-    Examples
-    --------
-    An exponential decay, 1 s for 60 dB: ``(1 + (2 pi F T / 13.8)^2)^-1/2``.
-
-    >>> from roomfit.signals.decay import echogram_decay_curve
-    >>> edges_s = np.linspace(0.0, 3.0, 3001)
-    >>> energies = -np.diff(10.0 ** (-6.0 * edges_s))[None, :]
-    >>> octave = Bands("octave", np.array([1000.0]))
-    >>> curve = echogram_decay_curve(octave, energies, edges_s, onset_s=0.0)
-    >>> modulation_transfer(curve)[0, [0, -1]].round(3)
-    array([0.961, 0.173])
     """
     found = np.full((len(curve.bands), len(MODULATIONS_HZ)), np.nan)
     for band in np.flatnonzero(curve.usable_db >= least_range_db):
@@ -146,11 +125,7 @@ def transfer_of_bins(energies: FloatArray, edges_s: FloatArray) -> FloatArray:
 
     As `modulation_transfer` of their decay curves, at any range.
 
-    Parameters
-    ----------
-    energies : float array, shape (..., n_bins)
-        Some energy in each row.
-    edges_s : float array, shape (n_bins + 1,)
+    `energies`, shape (..., n_bins): some energy in each row. `edges_s`, shape (n_bins + 1,).
     """
     rows = energies.reshape(-1, energies.shape[-1])
     left = np.cumsum(rows[:, ::-1], axis=1)[:, ::-1]
@@ -168,25 +143,9 @@ def sti_of_decay(bands: Bands, time_s: FloatArray, levels_db: FloatArray) -> flo
 
     NaN where the bands are not the seven, or one falls by less than 20 dB.
 
-    Parameters
-    ----------
-    bands : Bands
-    time_s : float array, shape (n_times,)
-        Rising, a hundredth of a second apart at most.
-    levels_db : float array, shape (n_bands, n_times)
-        Energy still to come relative to the whole; NaN beyond the usable part, from where its last
-        third goes on as a straight line.
-
-    Examples
-    --------
-    Exponential decays of 1 s for 60 dB: modulation ``(1 + (2 pi F / 13.8)^2)^-1/2``.
-
-    >>> octaves, time_s = Bands("octave", np.array(SPEECH_BANDS_HZ)), np.linspace(0.0, 0.5, 251)
-    >>> levels_db = np.tile(-60.0 * time_s, (7, 1))
-    >>> index = sti_of_decay(octaves, time_s, levels_db)
-    >>> exact = np.tile((1.0 + (2.0 * np.pi * MODULATIONS_HZ / np.log(1e6)) ** 2) ** -0.5, (7, 1))
-    >>> round(index, 2), round(float(speech_transmission(exact)), 2)
-    (0.59, 0.59)
+    `time_s`, shape (n_times,): rising, a hundredth of a second apart at most. `levels_db`, shape
+    (n_bands, n_times): energy still to come relative to the whole; NaN beyond the usable part, from
+    where its last third goes on as a straight line.
     """
     if sti_missing(bands):
         return float("nan")
@@ -206,16 +165,10 @@ def sti_of_decay(bands: Bands, time_s: FloatArray, levels_db: FloatArray) -> flo
 def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
     """Return the modulation transfer of an echogram, and its derivatives by its energies.
 
-    Parameters
-    ----------
-    curve : DecayCurve
-        From `roomfit.signals.decay.echogram_decay_curve`.
+    `curve`: from `roomfit.signals.decay.echogram_decay_curve`.
 
-    Returns
-    -------
-    values : float array, shape (14,)
-    gradients : float array, shape (14, n_bins)
-        Exact, including the energy that is added for the time after the echogram.
+    `values` has the shape (14,). `gradients` has the shape (14, n_bins): exact, including the
+    energy that is added for the time after the echogram.
     """
     left, constant_s = curve.energy_left[band], float(curve.tail_time_constant_s[band])
     z, phase, end, lag = _spectrum(curve.time_s, left, constant_s)
@@ -233,13 +186,10 @@ def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, Floa
 def speech_transmission(transfer: FloatArray, levels_db: FloatArray | None = None) -> FloatArray:
     """Return the speech transmission index, 0 to 1, of the shape (...).
 
-    Parameters
-    ----------
-    transfer : float array, shape (..., 7, 14)
-        Modulation transfer of the octave bands from 125 Hz to 8 kHz, without noise; NaN gives NaN.
-    levels_db : float array, shape (..., 2, 7), optional
-        At the listener: of speech and of noise, as of `speech_levels`. Left out: no noise, and
-        neither auditory masking nor the threshold of reception.
+    `transfer`, shape (..., 7, 14): modulation transfer of the octave bands from 125 Hz to 8 kHz,
+    without noise; NaN gives NaN. `levels_db`, shape (..., 2, 7): at the listener: of speech and of
+    noise, as of `speech_levels`. Left out: no noise, and neither auditory masking nor the threshold
+    of reception.
 
     Notes
     -----
@@ -264,11 +214,7 @@ def sti_gradients(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of `speech_transmission` by the transfer and by the speech's levels.
 
-    Returns
-    -------
-    by_transfer : float array, shape (7, 14)
-    by_level : float array, shape (7,)
-        Per dB, 0 without levels.
+    `by_transfer` has the shape (7, 14). `by_level` has the shape (7,): per dB, 0 without levels.
     """
     _, m, mti, inside = _by_band(transfer, levels_db)
     root = np.sqrt(np.maximum(mti, 1e-12))
@@ -291,16 +237,10 @@ def room_sti(
 ) -> FloatArray:
     """Return the speech transmission index at a place of known strength, shape (...).
 
-    Parameters
-    ----------
-    bands : Bands
-        With the octaves from 125 Hz to 8 kHz among them, see `sti_missing`.
-    transfer : float array, shape (..., n_bands, 14)
-    strength_db : float array, shape (..., n_bands)
-        G at the listener.
-    speech_db : float array, shape (2, 7), or None
-        Speech at 1 m in the free field, 20 dB above what G refers to, and noise at the listener;
-        None as without levels in `speech_transmission`.
+    `bands`: with the octaves from 125 Hz to 8 kHz among them, see `sti_missing`. `transfer`, shape
+    (..., n_bands, 14). `strength_db`, shape (..., n_bands): G at the listener. `speech_db`, shape
+    (2, 7): speech at 1 m in the free field, 20 dB above what G refers to, and noise at the
+    listener; None as without levels in `speech_transmission`.
     """
     at = speech_bands(bands)
     levels_db = levels_at_listener(speech_db, strength_db[..., at])
