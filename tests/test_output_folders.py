@@ -196,9 +196,9 @@ def command(body: str, *arguments: object) -> subprocess.Popen:
     program = (
         "import sys, time, roomfit.cli as cli; from pathlib import Path\n"
         "from roomfit.base.whole_files import whole_output_folder\n"
-        f"def run(options):\n    {body}\n"
+        f"def run():\n    {body}\n"
         "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
-        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
+        "cli._parsed = lambda _: cli.argparse.Namespace(call=('cli.x.run', '', ''))\n"
         "cli.main([])"
     )
     whole = [sys.executable, "-c", program, *map(str, arguments)]

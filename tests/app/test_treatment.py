@@ -132,7 +132,6 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
 def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_path: Path) -> None:
     """T30 with its intervals, before and after; another table of the same name is read anew."""
     from roomfit.cli.predict import predict_to_folder
-    from roomfit.predict.changes import read_change
 
     (tmp_path / "out").mkdir()
     view = tasks.what_if_prepare(hall)
@@ -141,10 +140,8 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
     changes = ["walls=x2,x1,x1", "ceiling=mineral-wool-50-mm"]
     for texts in ([], changes):
         own = tasks.what_if(hall, texts)
-        found, _ = predict_to_folder(
-            project.campaign_file(hall), None, tmp_path / "out", [read_change(t) for t in texts],
-            overwrite=True,
-        )  # fmt: skip
+        campaign, out = project.campaign_file(hall), tmp_path / "out"
+        found = predict_to_folder(campaign, None, out, texts, overwrite=True)
         t30, shown = found.mean["T30_s"], own["mean"]["T30_s"]
         for key in ("predicted", "lower95", "upper95"):
             assert shown[key] == pytest.approx(getattr(t30, key).tolist(), rel=1e-12)

@@ -14,7 +14,7 @@ import pytest
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.cli.init import draft_to_folder
-from roomfit.cli.reverberation import reverberation_to_folder
+from roomfit.cli.predict import reverberation_to_folder
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.inputs import object_areas_m2

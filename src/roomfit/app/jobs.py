@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from roomfit.base.errors import InputError, RoomfitError
+from roomfit.cli.terminal import warn
 
 _LONGEST_ANSWER = 2**27  # bytes of one line
 _GRACE_S = 1.0  # in which a process that is to end may clean up
@@ -251,6 +252,28 @@ class Bench:
         for worker in (self._next, self.reader, self.what_if):
             if worker is not None:
                 await worker.stop()
+
+
+def serve_folder(folder: Path, *, host: str, port: int | None, no_browser: bool) -> None:
+    """Show a project in the browser until somebody interrupts, as ``roomfit app`` does."""
+    if host not in ("127.0.0.1", "localhost", "::1"):
+        warn(
+            f"warning: {host} can be reached from other machines. Whoever has the address with its "
+            "token reads and changes this project, and can have this machine compute; what is sent "
+            "is not encrypted."
+        )
+
+    async def served() -> None:
+        bench = Bench(folder.resolve())
+        await bench.reader.started()  # imports its libraries while the page does
+        try:
+            from roomfit.app.server import serve  # which needs packages of the extra ``app``
+
+            await serve(bench, host=host, port=port, open_browser=not no_browser)
+        finally:
+            await bench.stop()
+
+    asyncio.run(served())
 
 
 def main() -> None:

@@ -7,8 +7,9 @@ import contextlib
 import secrets
 import shutil
 import socket
+import sys
 import webbrowser
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -27,6 +28,7 @@ from roomfit.app.page import build_page
 from roomfit.app.security import Door, Guard
 from roomfit.base.door import limit
 from roomfit.base.errors import InputError, RoomfitError
+from roomfit.cli.terminal import say
 from roomfit.files.responses.sweep import (
     SweepPlan,
     check_not_measured,
@@ -196,7 +198,6 @@ async def serve(
     host: str = "127.0.0.1",
     port: int | None = None,
     open_browser: bool = True,
-    say: Callable[[str], None] = print,
 ) -> None:
     """Show a project in the browser until somebody interrupts."""
     folder = bench.folder
@@ -223,6 +224,7 @@ async def serve(
         timeout_graceful_shutdown=2,
     )
     say(f"The workbench of {folder} is at\n  {address}\nCtrl-C ends it.")
+    sys.stdout.flush()
     if open_browser:
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(address)

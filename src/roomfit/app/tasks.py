@@ -15,16 +15,13 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import Progress
 from roomfit.cli.identify import identify_to_folder
 from roomfit.cli.listen import listen_to_folder
-from roomfit.cli.reverberation import reverberation_to_folder
+from roomfit.cli.predict import reverberation_to_folder
 from roomfit.cli.treat import treat_to_folder
 from roomfit.demo.boxes import demo_plan, write_measured_box
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import EditedFile, finding_of
-from roomfit.files.questions import Wanted
 from roomfit.files.remedies import changed_since
 from roomfit.files.results import read_result_content
-from roomfit.predict.changes import read_change
-from roomfit.report.text import text
 
 
 def answer_view(folder: Path, name: str) -> dict[str, Any]:
@@ -72,16 +69,16 @@ def demo(progress: Progress, folder: Path) -> None:
 def treat(progress: Progress, folder: Path, doubted: bool = False) -> str:
     """Choose what to hang where, as ``roomfit treat`` does; return the answer in words."""
     project.answer_file(folder, or_decay_times=True)
-    _, shown = treat_to_folder(
+    answer = treat_to_folder(
         project.campaign_file(folder),
         project.best_result(folder),
         folder / project.TREATMENT_QUESTION,
         project.inside(folder, folder / project.TREATMENT),
-        wanted=Wanted(doubted=doubted),
+        doubted=doubted,
         overwrite=True,
         progress=progress,
     )
-    return text(shown)
+    return str(answer)
 
 
 def listen(
@@ -96,8 +93,8 @@ def listen(
         project.campaign_file(folder),
         result,
         project.inside(folder, folder / project.LISTENED),
-        [read_change(text) for text in changes],
-        Wanted("campaign", doubted=doubted),
+        changes,
+        doubted=doubted,
         dry=project.upload_place(folder, project.DRY, dry) if dry else None,
         overwrite=True,
         progress=progress,

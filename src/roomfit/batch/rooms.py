@@ -13,6 +13,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -29,11 +30,12 @@ from roomfit.base.kernels import keep_one_blas_thread
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
-from roomfit.batch.cluster import completed, result_of
+from roomfit.batch.cluster import cluster_client, completed, result_of
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.encoding import input_digests, written_content
 from roomfit.files.results import check_disk_room, read_result_content
+from roomfit.identify import compile_kernels
 from roomfit.report.blocks import Blocks, Sentence
 from roomfit.report.html import page
 from roomfit.report.wording import in_file_name
@@ -343,6 +345,28 @@ def _page_table(rows: Sequence[RoomRow]) -> Table:
         )
         shown.append(cells)
     return Table("Every room with its key figures", columns, shown, form=".2f")
+
+
+def batch_to_folder(
+    campaigns: Sequence[str],
+    out: Path,
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    shard: tuple[int, int],
+    quick: bool,
+    progress: Progress,
+) -> tuple[str, int]:
+    """Identify rooms, here or on a cluster; return the table, and 2 where one has no answer."""
+    paths = campaign_paths(campaigns)
+    cluster: AbstractContextManager[Any] = nullcontext()
+    if workers is not None or scheduler is not None:
+        cluster = cluster_client(scheduler=scheduler, n_workers=workers or 1, warm=compile_kernels)
+    with cluster as client:
+        rows = identify_rooms(
+            paths, out, client=client, shard=shard, quick=quick, progress=progress
+        )
+    return rooms_text(rows), 2 * any(row.status in ("refused", "failed") for row in rows)
 
 
 def rooms_text(rows: Sequence[RoomRow]) -> str:

@@ -1,9 +1,8 @@
 """The command line: arguments in, one call into `roomfit`, an exit code out.
 
 Exit codes: 0 done, 1 a fault of roomfit itself, 2 bad input (or an answer that the data do not
-hold), 130 interrupted; ``roomfit check`` ends with 1 where recordings are in doubt. Every command
-is a module with `run`, which is imported when the command is called; `roomfit.cli.arguments`
-declares what it takes.
+hold), 130 interrupted; ``roomfit check`` ends with 1 where recordings are in doubt. A command is a
+function, whose module is imported when it is called, and a row of `roomfit.cli.arguments`.
 """
 
 from __future__ import annotations
@@ -20,9 +19,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
 
-from roomfit.base.errors import RoomfitError, StoreError
+from roomfit.base.errors import InputError, RoomfitError, StoreError
 from roomfit.cli.arguments import call_error, parsers
-from roomfit.cli.terminal import drop_output, warn
+from roomfit.cli.terminal import drop_output, say, warn
+from roomfit.report.progress import shown_progress
 
 _INTERRUPTED = 130
 _INSIST_S = 1.0
@@ -36,8 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with _ended_like_an_interrupt():
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
             with _shown(options), _with_threads(options):
-                import_module(f"roomfit.cli.{options.command}").run(options)
+                code = _carried_out(options)
             sys.stdout.flush()
+        if code:
+            sys.exit(code)
     except RoomfitError as error:
         warn(error)
         sys.exit(2)
@@ -61,6 +63,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
         text = "the disk is full, or the output cannot grow"
         warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
         sys.exit(2)
+
+
+def _carried_out(options: argparse.Namespace) -> int:
+    """Call the function of a command with its options; say what it returns, and where files are."""
+    no = ("call", "quiet", "verbose", "threads", "edited")
+    own = {name: value for name, value in vars(options).items() if name not in no}
+    place, doing, files = options.call
+    module, _, name = place.rpartition(".")
+    if getattr(options, "edited", False):
+        from roomfit.files.encoding import EditedFile  # needs numpy, as `text` does
+
+        read = {"absorption_file", "result", "first", "second"} & own.keys()
+        own |= {name: EditedFile(own[name]) for name in read if own[name] is not None}
+    try:
+        function = getattr(import_module(f"roomfit.{module}"), name)
+        with shown_progress(doing) if doing else nullcontext() as progress:
+            found = function(**own, progress=progress) if doing else function(**own)
+    except ModuleNotFoundError as error:
+        if "app" not in module:
+            raise
+        what = "the workbench needs packages that are not installed"
+        found, hint = f"no module {error.name!r}", "pip install 'roomfit[app]'"
+        raise InputError(what, found=found, needed="the extra app", hint=hint) from error
+    said, code = found if isinstance(found, tuple) else (found, 0)
+    if said is not None:
+        from roomfit.report.blocks import Blocks
+        from roomfit.report.text import text
+
+        say(text(said) if isinstance(said, Blocks) else said)
+    if files and own["out"] is not None:
+        say(f"\n{files.format(**own)}")
+    return int(code)
 
 
 def _with_threads(options: argparse.Namespace) -> AbstractContextManager[None]:
@@ -122,7 +156,7 @@ def _ended_like_an_interrupt() -> Iterator[None]:
 
 
 def _parsed(arguments: list[str]) -> argparse.Namespace:
-    """Return the options of a command and, as `run`, the function that carries it out."""
+    """Return the options of a command, and what carries it out as `call`."""
     parser, commands = parsers()
     if not arguments:
         sys.stdout.write(parser.format_help())

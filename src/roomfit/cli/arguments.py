@@ -1,7 +1,7 @@
 """The arguments of every command: a wrong call is an `InputError` that names the nearest word.
 
-Every command's arguments are declared here, and its module, which imports what it needs, carries it
-out: ``roomfit --help`` loads no numerical package.
+Each is one of the function that carries the command out; ``roomfit --help`` loads no numerical
+package.
 """
 
 from __future__ import annotations
@@ -9,13 +9,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import roomfit
 from roomfit.base.errors import InputError
-
-if TYPE_CHECKING:
-    from roomfit.files.encoding import ResultFile
 
 
 class Parser(argparse.ArgumentParser):
@@ -68,24 +65,17 @@ def parsers() -> tuple[Parser, dict[str, Parser]]:
     version = f"roomfit {roomfit.__version__}"
     parser.add_argument("--version", action="version", version=version, help="Show the version.")
     commands: Any = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for name, (about, *arguments) in _COMMANDS.items():
+    for name, (call, about, *arguments) in _COMMANDS.items():
         own = commands.add_parser(
             name, help=about.partition("\n")[0], description=about, allow_abbrev=False
         )
-        own.set_defaults(command=name)
+        own.set_defaults(call=call)
         for one in (_HOW_MUCH, *arguments):
             # arguments of which one excludes the others are a list
             target = own.add_mutually_exclusive_group() if isinstance(one, list) else own
             for words, settings in one if isinstance(one, list) else [one]:
                 target.add_argument(*words.split(), **settings)
     return parser, dict(commands.choices)
-
-
-def result_file(options: argparse.Namespace, path: Path) -> ResultFile:
-    """Return a result to read, as ``--edited`` has it."""
-    from roomfit.files.encoding import EditedFile  # needs numpy, which --help must not wait for
-
-    return EditedFile(path) if options.edited else path
 
 
 # ---------------------------------------------------------------- values
@@ -141,13 +131,17 @@ _Argument = tuple[str, dict[str, Any]]  # its names, and what `argparse` takes
 
 def _value(names: str, text: str, **settings: Any) -> _Argument:
     """Return an argument with a value; `text` gets the default behind it."""
-    if settings.get("default") is not None and not isinstance(settings["default"], tuple | Path):
+    if settings.get("default") and not isinstance(settings["default"], tuple | list | Path):
         text = f"{text.removesuffix('.')} (default: {settings['default']})."
     return names, {"help": text, **settings}
 
 
 def _path(names: str, text: str, **settings: Any) -> _Argument:
     return _value(names, text, type=Path, **settings)
+
+
+def _campaign(text: str) -> _Argument:
+    return _path("campaign_file", text, metavar="campaign")
 
 
 def _flag(names: str, text: str) -> _Argument:
@@ -162,7 +156,7 @@ _HOW_MUCH = [
     _flag("-q --quiet", "On standard error, show errors only."),
     _flag("-v --verbose", "Show the details of stages."),
 ]
-_CAMPAIGN = _path("campaign", "Campaign file (TOML).")
+_CAMPAIGN = _campaign("Campaign file (TOML).")
 _OUT, _OVERWRITE = _out(), _flag("--overwrite", "Write into a folder that is not empty.")
 _PNG = _flag("--png", "Write pictures as PNG, too, beside SVG.")
 _EDITED = _flag("--edited", "Read a result that was edited since roomfit wrote it.")
@@ -175,16 +169,18 @@ _A_RESULT = "result.json or absorption.csv of a fit."
 _FIT_OR_LESS = _path(
     "--absorption",
     f"{_A_RESULT} Left out: by the campaign's decay times, or by its priors alone.",
+    dest="absorption_file",
 )
 _CHANGES = _value(
     "--set",
     "What if: MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the "
     "room, or a name of the catalogue. May be given several times.",
-    dest="changes", metavar="CHANGE", action="append",
+    dest="changes", metavar="CHANGE", action="append", default=[],
 )  # fmt: skip
 _STATE = _value(
-    "--state", "State of the room among the campaign's [[states]]; left out: as described."
-)
+    "--state", "State of the room among the campaign's [[states]]; left out: as described.",
+    default="",
+)  # fmt: skip
 _DOUBTED = _flag(
     "--doubted", "Predict changes and other states also where the result is seriously doubted."
 )
@@ -197,9 +193,11 @@ _PAIRS = _value(
 
 # ---------------------------------------------------------------- the commands
 
-# What each is for, the first line alone in the list of commands; and its arguments.
+# The function that carries it out, in which module, with the words of its progress and of where its
+# files are; what it is for, the first line alone in the list of commands; and its arguments.
 _COMMANDS: dict[str, tuple[Any, ...]] = {
     "app": (
+        ("app.jobs.serve_folder", "", ""),
         "Work on a project in the browser: room, measurements, absorption, what if, report.\n\n"
         "FOLDER holds campaign.toml, recordings and results, which the other commands read and "
         "write, too. Nothing leaves this machine, and nobody gets in without the address that is "
@@ -212,6 +210,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--no-browser", "Print the address; open no browser."),
     ),
     "batch": (
+        ("batch.rooms.batch_to_folder", "identifying rooms",
+         "rooms.html, rooms.csv and a folder of each room are in {out}"),
         "Identify many rooms, each into a folder of its own, and write a table of all.\n\n"
         "Rooms that are done are not done again; one that fails stops no other. They are done one "
         "after the other, or by the workers of a dask cluster, or in shares by a job array.",
@@ -231,10 +231,12 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         ],
     ),
     "catalogue": (
+        ("report.check.materials_text", "", ""),
         "List common materials, or show one with the spread of its absorption and the sources.",
         _value("words", "Name of a material to show, or words to search for.", nargs="*"),
     ),
     "check": (
+        ("cli.check.check", "", ""),
         "Show a room's volume, surface, materials and mean free path, and name each fault.\n\n"
         "For a campaign, positions and recordings are examined, too: what could be wrong is said "
         "before anything is fitted. Exit codes: 0 fine; 1 a finding that voids the answer, or a "
@@ -243,7 +245,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _value("--unit", "m, mm, cm, ft or in; needed where the format does not state it."),
         _value("--up", "Axis that points up: z or y."),
         _value("--bands", "Of a campaign: bands to examine, as 500-2000, in place of from_hz and "
-               "to_hz.", type=number_range),
+               "to_hz.", type=number_range, dest="between_hz"),
         _out("Of a campaign: folder for a picture of room and positions.", required=False),
         _OVERWRITE, _PNG,
         _value("--remedy", "Of a campaign: write into it what the findings of CODE advise; CODE:2 "
@@ -252,6 +254,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--undo", "Of a campaign: take the last remedy back."),
     ),
     "compare": (
+        ("report.comparison.compare_to_folder", "", "compared.csv is in {out}"),
         "Compare two results, as before and after a renovation: what changed, and how surely.",
         _path("first", _A_RESULT),
         _path("second", "That of another."),
@@ -259,6 +262,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _EDITED, _OVERWRITE,
     ),
     "demo": (
+        ("cli.demo.demo", "simulating and identifying",
+         "The campaign is in {out}/campaign, result and pictures in {out}/result."),
         "Simulate a measured room independently of the fit's own model, and identify it.",
         _path("--out", "Folder for the campaign and its results (default: roomfit-demo).",
               default=Path("roomfit-demo")),
@@ -266,18 +271,23 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _THREADS, _OVERWRITE, _PNG,
     ),
     "design": (
+        ("cli.design.design_to_folder", "choosing where to measure",
+         "design.json, design.csv and pictures are in {out}"),
         "Choose where to measure, so that absorption is found with the narrowest intervals.",
-        _path("campaign", "Campaign file (TOML); it need not have a measurement."),
+        _campaign("Campaign file (TOML); it need not have a measurement."),
         _OUT,
         _value("--candidates", "Pairs of source and receiver to choose from.", type=whole,
-               default=200),
-        _value("--choose", "How many (default: 6, or 1 after a fit).", type=whole),
-        _value("--sources", "How many different sources at most.", type=whole),
+               default=200, dest="n_candidates"),
+        _value("--choose", "How many (default: 6, or 1 after a fit).", type=whole,
+               dest="number"),
+        _value("--sources", "How many different sources at most.", type=whole,
+               dest="most_sources"),
         _value("--criterion", "What is to become small: determinant, mean or worst."),
         _path("--result", "result.json of a fit: what to measure next."),
         _THREADS, _EDITED, _OVERWRITE, _PNG,
     ),
     "export": (
+        ("cli.export.export", "", ""),
         "Write what was found as materials of another program, or the report as PDF or Word.",
         _path("result", _A_RESULT),
         _value("--format", "catt, odeon, isimpa, pyroomacoustics, csv, excel, budget (of the "
@@ -289,19 +299,24 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--overwrite", "Replace what exists."),
     ),
     "identify": (
+        ("cli.identify.run", "",
+         "report.html, result.json, absorption.csv and, unless --quick, pictures are in {out}"),
         "Find the absorption of a measured room, per material and band, with intervals.",
         _CAMPAIGN, _OUT,
         _value("--bands", "Bands to fit, as 500-2000, in place of from_hz and to_hz of the "
-               "campaign.", type=number_range),
+               "campaign.", type=number_range, dest="between_hz"),
         _flag("--quick", "A first answer: no search for faults of files, positions and chain, no "
               "pictures."),
         _THREADS, _OVERWRITE, _PNG,
     ),
     "impedance": (
+        ("impedance.campaign.impedance_to_folder", "identifying impedances",
+         "result.json, impedance.csv and pictures are in {out}"),
         "Find the acoustic impedance of a measured room's walls over frequency, with intervals.",
         _CAMPAIGN, _OUT, _OVERWRITE,
     ),
     "init": (
+        ("cli.init.init", "", ""),
         "Write a first campaign.toml for a folder of recordings.\n\n"
         "Sources, receivers and measurements come from the names of the files, best where the "
         "table of positions has the same names; what is not known is marked FILL IN.",
@@ -321,16 +336,18 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--overwrite", "Replace a campaign.toml that is there."),
     ),
     "listen": (
+        ("cli.listen.listen_to_folder", "listening", "WAV files and listen.json are in {out}"),
         "Make the measured responses what they would be after a change of materials, as WAV "
         "files.\n\nEvery band is scaled over time by the ratio of the predicted energies after to "
         "before.",
-        _path("campaign", "Campaign file (TOML) of the measured room."),
-        _path("--absorption", _A_RESULT, required=True),
+        _campaign("Campaign file (TOML) of the measured room."),
+        _path("--absorption", _A_RESULT, required=True, dest="absorption_file"),
         _EDITED, _OUT, _CHANGES, _STATE, _DOUBTED,
         _path("--dry", "A WAV file of one channel, at the responses' rate, to convolve."),
         _OVERWRITE,
     ),
     "measure": (
+        ("cli.measure.measure", "", ""),
         "Measure an impulse response: play sweeps, record them, and say whether it is enough.\n\n"
         "The response becomes FOLDER/SOURCE_RECEIVER.wav, of which roomfit init makes a campaign. "
         "Exit codes: 0 it suffices for T20 from 125 Hz to 4 kHz; 1 it is written, and better "
@@ -348,6 +365,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--list", "Name the sound devices, and end."),
     ),
     "paper": (
+        ("paper.output.run_paper", "repeating the paper",
+         "paper.json, table2.csv and pictures are in {out}."),
         "Repeat the paper's figures, Table 2 and searches in its reconstructed room.",
         _out("Folder for paper.json, table2.csv, pictures."),
         _value("--seeds", "Searches of every problem by every method.", type=positive_number,
@@ -355,31 +374,38 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _OVERWRITE,
     ),
     "predict": (
+        ("cli.predict.predict_to_folder", "predicting",
+         "predicted.html, .json, .csv and pictures (maps and grid.csv of a grid) are in {out}"),
         "Predict reverberation and clarity with their intervals, as the room is or changed.",
-        _path("campaign", "Campaign file (TOML) of the room to predict."),
+        _campaign("Campaign file (TOML) of the room to predict."),
         _FIT_OR_LESS, _EDITED, _OUT, _PAIRS, _CHANGES, _STATE, _DOUBTED,
         _value("--grid", "Maps over the room in place of its receivers: HEIGHT,SPACING in m, as "
-               "1.2,0.5.", metavar="H,S", type=_grid),
+               "1.2,0.5.", metavar="H,S", type=_grid, dest="grid_m"),
         _THREADS, _OVERWRITE, _PNG,
     ),
     "reverberation": (
+        ("cli.predict.reverberation", "",
+         "reverberation.html, reverberation.csv and result.json are in {out}"),
         "Find the mean absorption of a room from decay times, where no position is known.\n\n"
         "By Sabine, Eyring, Arau-Puchades and Fitzroy, with intervals, and split over materials by "
         "their priors.",
-        _path("campaign", "Campaign file (TOML) with [reverberation]."),
+        _campaign("Campaign file (TOML) with [reverberation]."),
         _out("Folder for a page and a table; made if needed.", required=False),
         _OVERWRITE,
     ),
     "schema": (
+        ("treat.campaign.schema_text", "", ""),
         "Print the JSON schema of campaign files, or of treatment files.\n\n"
         "Editors complete and check keys by it: roomfit schema > campaign.schema.json, and write "
         "#:schema ./campaign.schema.json as the first line of the campaign.",
         _value("--of", "campaign, or treatment.", default="campaign"),
     ),
     "treat": (
+        ("cli.treat.treat_to_folder", "choosing what to hang",
+         "treatment.html, .json, .csv and pictures are in {out}"),
         "Choose what to hang where, so that targets are met, and how likely they then are.",
-        _path("campaign", "Campaign file (TOML) of the room."),
-        _path("treatment", "Surfaces, products and targets (TOML)."),
+        _campaign("Campaign file (TOML) of the room."),
+        _path("treatment_file", "Surfaces, products and targets (TOML).", metavar="treatment"),
         _FIT_OR_LESS, _EDITED, _OUT, _PAIRS, _STATE, _DOUBTED, _THREADS, _OVERWRITE, _PNG,
     ),
 }  # fmt: skip

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,63 +24,73 @@ from roomfit.report.text import text
 if TYPE_CHECKING:
     from roomfit.checks.usable import CheckedRecordings
 
-_IN_DOUBT = 1
 _EXAMINING = "examining recordings (longer the first time, which compiles)"
 
 
-def run(options: argparse.Namespace) -> None:
-    """Carry out the command; leave with 2 where the room cannot be traced."""
-    file: Path = options.room
-    if options.remedy is not None or options.result is not None or options.undo:
-        _remedy(options)
-    elif file.suffix.lower() != ".toml" and not file.is_dir():
-        what = "a room by itself has no positions to draw, and no bands"
-        hint = "roomfit init --room ROOM makes one"
-        _refuse(options, ("out", "bands"), what, "a campaign.toml", hint)
-        result = check_room(RoomSpec(file=file, unit=options.unit, up=options.up))
-        say(text(room_blocks(str(file), result)))
-        sys.exit(0 if result.traceable else 2)
-    else:
+def check(
+    *,
+    room: Path,
+    unit: str | None,
+    up: str | None,
+    between_hz: tuple[float, float] | None,
+    out: Path | None,
+    remedy: str | None,
+    result: Path | None,
+    undo: bool,
+    **how: bool,
+) -> tuple[None, int]:
+    """Say what a room or a campaign is; or write what a finding advises, or take that back."""
+    if remedy is not None or result is not None or undo:
+        _remedy(room, remedy, result, undo, between_hz)
+        return None, 0
+    if room.suffix.lower() == ".toml" or room.is_dir():
         what = "a campaign itself specifies the unit and the axes of its room"
-        needed = "neither of them beside a campaign"
-        _refuse(options, ("unit", "up"), what, needed, "write them under [room]")
-        _check(options, read_campaign(file))
+        needed, hint = "neither of them beside a campaign", "write them under [room]"
+        _refuse(room, {"unit": unit, "up": up}, what, needed, hint)
+        return None, _check(read_campaign(room), room, out, between_hz, **how)
+    what = "a room by itself has no positions to draw, and no bands"
+    hint = "roomfit init --room ROOM makes one"
+    _refuse(room, {"out": out, "bands": between_hz}, what, "a campaign.toml", hint)
+    found = check_room(RoomSpec(file=room, unit=unit, up=up))
+    say(text(room_blocks(str(room), found)))
+    return None, 0 if found.traceable else 2
 
 
-def _refuse(
-    options: argparse.Namespace, names: tuple[str, ...], what: str, needed: str, hint: str
-) -> None:
+def _refuse(room: Path, options: dict[str, object], what: str, needed: str, hint: str) -> None:
     """Refuse options that have no meaning for this kind of file."""
-    for name in names:
-        if getattr(options, name) is not None:
-            where, found = str(options.room), f"--{name}"
+    for name, value in options.items():
+        if value is not None:
             hint = f"{hint}; or leave the option out"
-            raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+            raise InputError(what, where=str(room), found=f"--{name}", needed=needed, hint=hint)
 
 
-def _check(options: argparse.Namespace, campaign: Campaign) -> None:
-    """Check the room of a campaign, then its recordings; leave with 1 where these are in doubt."""
+def _check(
+    campaign: Campaign,
+    file: Path,
+    out: Path | None,
+    between_hz: tuple[float, float] | None,
+    **how: bool,
+) -> int:
+    """Check the room of a campaign, then its recordings; return the exit code."""
     result = check_campaign(campaign)
     of_room = advice(result.findings, campaign)
-    say(text(room_blocks(str(options.room), result, of_room)))
+    say(text(room_blocks(str(file), result, of_room)))
     if not result.traceable:
-        sys.exit(2)
+        return 2
     if campaign.spectra:
-        return  # of impedances: there are no recordings to examine
+        return 0  # of impedances: there are no recordings to examine
     with shown_progress(_EXAMINING):
-        checked = check_campaign_recordings(
-            campaign, options.out, between_hz=options.bands, overwrite=options.overwrite,
-            png=options.png,
-        )  # fmt: skip
+        checked = check_campaign_recordings(campaign, out, between_hz=between_hz, **how)
     of_recordings = advice(checked.findings, campaign)
     say(f"\n{text(recordings_blocks(checked, of_recordings))}")
     if of_room or of_recordings:
-        say(how_to_write(options.room))
-    if options.out is not None:
-        say(f"\nroom.svg is in {options.out}")
+        say(how_to_write(file))
+    if out is not None:
+        say(f"\nroom.svg is in {out}")
     if checked.in_doubt:
-        sys.exit(_IN_DOUBT)
-    say(f"\nthen: roomfit identify {shlex.quote(str(options.room))} --out result")
+        return 1
+    say(f"\nthen: roomfit identify {shlex.quote(str(file))} --out result")
+    return 0
 
 
 def check_campaign_recordings(
@@ -136,37 +144,40 @@ def how_to_write(campaign: Path, result: Path | None = None) -> str:
     )
 
 
-def _remedy(options: argparse.Namespace) -> None:
+def _remedy(
+    file: Path,
+    wanted: str | None,
+    result: Path | None,
+    undo: bool,
+    between_hz: tuple[float, float] | None,
+) -> None:
     """Write what findings advise into the campaign, or take that back."""
     from roomfit.files.results import read_result_content
 
-    file, result = options.room, options.result
-    if options.undo and options.remedy is None and result is None:
+    if undo and wanted is None and result is None:
         edits.undo(file)
         say(f"{file} is as it was before the last remedy")
         return
-    if options.undo or options.remedy is None:
-        raise InputError(
-            "a remedy is written, or taken back",
-            where=str(file),
-            found="--undo beside other options" if options.undo else "--result without --remedy",
-            needed="--remedy CODE, with or without --result FOLDER; or --undo",
-            hint="roomfit check CAMPAIGN shows the codes",
-        )
+    if undo or wanted is None:
+        what = "a remedy is written, or taken back"
+        found = "--undo beside other options" if undo else "--result without --remedy"
+        needed = "--remedy CODE, with or without --result FOLDER; or --undo"
+        hint = "roomfit check CAMPAIGN shows the codes"
+        raise InputError(what, where=str(file), found=found, needed=needed, hint=hint)
     campaign = read_campaign(file, to_fit=result is None)
     if result is not None:
         path = result / "result.json" if result.is_dir() else result
         content, _ = read_result_content(path)
         findings = [finding_of(one, str(path)) for one in content["findings"]]
-        found = advised(findings, campaign, changed=changed_since(content, file))
+        advised_ = advised(findings, campaign, changed=changed_since(content, file))
     else:
         with shown_progress(_EXAMINING):
-            checked = check_campaign_recordings(campaign, between_hz=options.bands)
-        found = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
-    remedy = chosen(found, options.remedy)
-    wanted = edits.preview(file, remedy.edits)
-    edits.apply(file, wanted)
+            checked = check_campaign_recordings(campaign, between_hz=between_hz)
+        advised_ = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
+    remedy = chosen(advised_, wanted)
+    seen = edits.preview(file, remedy.edits)
+    edits.apply(file, seen)
     say(f"{remedy.words}, in {file}")
-    for table, now, then in wanted.lines:
+    for table, now, then in seen.lines:
         say(f"  {table}\n    was  {now}\n    is   {then}")
     say(f"\nto take it back: roomfit check {shlex.quote(str(file))} --undo")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,24 +12,16 @@ from roomfit.base.table import Cell
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.base.whole_files import sole_writer, whole_output_folder
 from roomfit.cli.identify import identify_to_folder
-from roomfit.cli.terminal import say
 from roomfit.demo.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.report.blocks import Blocks, Drawing, Findings, Listed
 from roomfit.report.figures import write_pictures
-from roomfit.report.progress import shown_progress
-from roomfit.report.text import text
 from roomfit.report.wording import band_tables
 from roomfit.result import Result
 
 
-def run(options: argparse.Namespace) -> None:
-    out: Path = options.out
-    with shown_progress("simulating and identifying") as progress:
-        answer, true_absorption = run_demo(
-            out, options.seed, overwrite=options.overwrite, png=options.png, progress=progress
-        )
-    say(text(_shown(answer, true_absorption)))
-    say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")
+def demo(**options: Any) -> Blocks:
+    """Return absorption beside the truth, see `run_demo`."""
+    return _shown(*run_demo(**options))
 
 
 def _shown(answer: Result, true_absorption: FloatArray) -> Blocks:

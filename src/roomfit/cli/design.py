@@ -2,50 +2,46 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import located
-from roomfit.base.typing import part
+from roomfit.base.typing import Progress, part
 from roomfit.base.whole_files import check_output_folder, sole_writer, whole_output_folder
-from roomfit.cli.arguments import result_file
-from roomfit.cli.terminal import say
 from roomfit.design.campaign import design_arguments
 from roomfit.design.output import write_design
-from roomfit.design.positions import design
+from roomfit.design.positions import Design, design
 from roomfit.files.campaign import read_campaign
+from roomfit.files.encoding import ResultFile
 from roomfit.files.results import read_result
 from roomfit.report.designed import describe
 from roomfit.report.figures import write_pictures
-from roomfit.report.progress import shown_progress
-from roomfit.report.text import text
-
-
-def run(options: argparse.Namespace) -> None:
-    design_to_folder(options, options.out)
 
 
 @sole_writer
 @reading_noted()
-def design_to_folder(options: argparse.Namespace, out: Path) -> None:
-    """Choose where to measure; write design.json, .csv and pictures into a folder."""
-    check_output_folder(out, overwrite=options.overwrite)
-    campaign = read_campaign(options.campaign, to_fit=False)
-    found = options.result and read_result(result_file(options, options.result))
-    wanted = {
-        "n_candidates": options.candidates,
-        "number": options.choose,
-        "most_sources": options.sources,
-        "criterion": options.criterion,
-    }
+def design_to_folder(
+    campaign_file: Path,
+    out: Path,
+    result: ResultFile | None = None,
+    *,
+    overwrite: bool = False,
+    png: bool = False,
+    progress: Progress | None = None,
+    **wanted: int | str | None,
+) -> Design:
+    """Choose where to measure; write design.json, .csv and pictures into a folder.
+
+    `wanted` are those of `roomfit.DesignOptions`, None where its default holds.
+    """
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    found = None if result is None else read_result(result)
     given = {name: value for name, value in wanted.items() if value is not None}
     arguments = design_arguments(campaign, found, given)
-    with shown_progress("choosing where to measure") as progress:
-        with located(str(options.campaign)):
-            answer = design(**arguments, progress=part(progress, 0.0, 0.98))
-        shown = describe(answer)
-        with whole_output_folder(out, overwrite=options.overwrite) as folder:
-            write_design(folder, answer, files_read())
-            write_pictures(folder, shown, png_too=options.png)
-    say(f"{text(shown)}\n\ndesign.json, design.csv and pictures are in {out}")
+    with located(str(campaign_file)):
+        answer = design(**arguments, progress=part(progress, 0.0, 0.98))
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_design(folder, answer, files_read())
+        write_pictures(folder, describe(answer), png_too=png)
+    return answer

@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-import argparse
-import textwrap
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.table import csv_of
 from roomfit.base.whole_files import check_place, write_bytes_atomically
-from roomfit.cli.arguments import result_file
-from roomfit.cli.terminal import say
 from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import export_materials, workbook_bytes
 from roomfit.files.results import material_table_of, read_materials
 from roomfit.report.documents import report_pdf, report_word
+from roomfit.report.text import filled
 from roomfit.result import Result
 from roomfit.settings import Settings
 
 
-def run(options: argparse.Namespace) -> None:
-    written = export_result(
-        result_file(options, options.result),
-        options.format,
-        options.out,
-        scattering=options.scattering,
-        overwrite=options.overwrite,
-    )
-    for file in written.files:
-        say(file)
-    for finding in written.findings:
-        text = f"  {finding.severity:<8} {finding.sentence}"
-        say(textwrap.fill(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False))
+def export(*, result: ResultFile, format: str, out: Path, **how: Any) -> str:  # noqa: A002
+    """Return the files that `export_result` writes, and what their reader must know."""
+    written = export_result(result, format, out, **how)
+    texts = (f"  {f.severity:<8} {f.sentence}" for f in written.findings)
+    return "\n".join([*map(str, written.files), *(filled(text, 11) for text in texts)])
 
 
 class ExportedFiles(NamedTuple):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import located
@@ -39,7 +39,8 @@ from roomfit.result import Result
 _LOG = logging.getLogger("roomfit")
 
 
-def run(options: argparse.Namespace) -> None:
+def run(*, campaign_file: Path, out: Path, **how: Any) -> None:
+    """Identify, and say the answer before anything is drawn."""
     with ExitStack() as line:
 
         def show(answer: Blocks, *, advised: bool) -> None:
@@ -48,21 +49,11 @@ def run(options: argparse.Namespace) -> None:
             with suppress(OSError):
                 say(text(answer))
                 if advised:
-                    say(how_to_write(options.campaign, options.out))
+                    say(how_to_write(campaign_file, out))
                 sys.stdout.flush()
 
-        identify_to_folder(
-            options.campaign,
-            options.out,
-            between_hz=options.bands,
-            quick=options.quick,
-            overwrite=options.overwrite,
-            png=options.png,
-            progress=line.enter_context(shown_progress("identifying")),
-            answered=show,
-        )
-    files = "absorption.csv" if options.quick else "absorption.csv and pictures"
-    say(f"\nreport.html, result.json, {files} are in {options.out}")
+        progress = line.enter_context(shown_progress("identifying"))
+        identify_to_folder(campaign_file, out, progress=progress, answered=show, **how)
 
 
 @sole_writer

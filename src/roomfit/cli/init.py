@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
@@ -25,76 +24,77 @@ from roomfit.files.rooms.model import RoomSpec
 from roomfit.report.wording import count
 
 
-def run(options: argparse.Namespace) -> None:
-    if options.room is not None and options.shoebox is not None:
+def init(
+    *,
+    folder: Path,
+    room: Path | None,
+    shoebox: list[float] | None,
+    recordings: str | None,
+    positions: Path | None,
+    decay_times: Path | None,
+    unit: str | None,
+    up: str | None,
+    space: str | None,
+    overwrite: bool,
+) -> str:
+    """Write a first campaign, and return what it holds and lacks."""
+    if room is not None and shoebox is not None:
         what = "two rooms for one campaign"
         hint = "leave --shoebox out where a file has the room"
         raise InputError(what, found="--room and --shoebox", needed="one of the two", hint=hint)
-    unit, because = options.unit, ""
-    if options.room is not None and unit is None and sys.stdin.isatty():
-        unit, because = _asked(options.room, options.space)
-    room = None
-    if options.room is not None or options.shoebox is not None:
-        lengths = None if options.shoebox is None else tuple(options.shoebox)
-        room = RoomSpec(options.room, lengths, unit=unit, up=options.up, space=options.space)
+    asked, because, spec = unit, "", None
+    if room is not None and unit is None and sys.stdin.isatty():
+        asked, because = _asked(room, space)
+    if room is not None or shoebox is not None:
+        lengths = shoebox and cast("tuple[float, float, float]", tuple(shoebox))
+        spec = RoomSpec(room, lengths or None, unit=asked, up=up, space=space)
     text = draft_to_folder(
-        options.folder,
-        room,
-        options.recordings,
-        options.positions,
-        decay_times=options.decay_times,
-        because=because,
-        overwrite=options.overwrite,
-    )
-    written = tomllib.loads(text)
-    file = options.folder / "campaign.toml"
+        folder, spec, recordings, positions,
+        decay_times=decay_times, because=because, overwrite=overwrite,
+    )  # fmt: skip
+    written, file = tomllib.loads(text), folder / "campaign.toml"
     kinds = ("source", "receiver", "measurement")
     found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
     found += [written["recordings"]] if "recordings" in written else []
-    say(f"{file}: {', '.join(found) or f'decay times of {options.decay_times}'}")
+    lines = [f"{file}: {', '.join(found) or f'decay times of {decay_times}'}"]
     if left := blanks(written):
-        say("to be filled in: " + ", ".join(left))
-    for line in (*_left_out(options, written), *_missing(options)):
-        say(line)
-    verb = "check" if options.decay_times is None else "reverberation"
-    say(f"then: roomfit {verb} {shlex.quote(str(file))}")
-
-
-def _left_out(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
-    """Say which recordings and positions were passed over."""
-    if options.decay_times is None and options.recordings is None:
-        recordings = recordings_in(options.folder)
+        lines.append("to be filled in: " + ", ".join(left))
+    if decay_times is None and recordings is None:
+        names = recordings_in(folder)
         used = {m["file"] for m in written["measurements"]}
-        if not recordings:
-            yield f"no recordings lie in {options.folder}"
-        elif others := [name for name in recordings if name not in used]:
-            yield f"left out, names that do not fit: {in_short(others)}"
-    if options.positions is not None:
+        if not names:
+            lines.append(f"no recordings lie in {folder}")
+        elif others := [name for name in names if name not in used]:
+            lines.append(f"left out, names that do not fit: {in_short(others)}")
+    if positions is not None:
         points = {*written["sources"], *written["receivers"]}
-        idle = [name for name in read_positions(options.positions) if name not in points]
-        if idle:
-            yield f"positions that no recording names: {in_short(idle)}"
+        idle = [name for name in read_positions(positions) if name not in points]
+        lines += [f"positions that no recording names: {in_short(idle)}"] if idle else []
+    box = None if shoebox is None else [f"{x:g}" for x in shoebox]
+    stated = {"room": room, "space": space, "shoebox": box, "recordings": recordings, "unit": unit}
+    may_lack = positions is None and decay_times is None
+    lines += [x for x in [_missing(folder, may_lack, {**stated, "up": up})] if x]
+    verb = "check" if decay_times is None else "reverberation"
+    return "\n".join([*lines, f"then: roomfit {verb} {shlex.quote(str(file))}"])
 
 
-def _missing(options: argparse.Namespace) -> Iterator[str]:
-    """Say with which files of the folder the campaign may be more complete."""
+def _missing(folder: Path, without_points: bool, stated: Mapping[str, Any]) -> str:
+    """Return a call with files of the folder by which the campaign may be more complete."""
     lacking: dict[str, list[Path]] = {}
-    if options.room is None and options.shoebox is None:
-        lacking["--room"] = _readable(options.folder, READERS)
-    if options.positions is None and options.decay_times is None:
-        times = _readable(options.folder, dict.fromkeys((".csv", ".xlsx"), read_decay_times))
-        points = _readable(options.folder, dict.fromkeys((".csv", ".xlsx"), read_positions))
+    if stated["room"] is None and stated["shoebox"] is None:
+        lacking["--room"] = _readable(folder, READERS)
+    if without_points:
+        times = _readable(folder, dict.fromkeys((".csv", ".xlsx"), read_decay_times))
+        points = _readable(folder, dict.fromkeys((".csv", ".xlsx"), read_positions))
         points = [path for path in points if path not in times]
         lacking |= {"--positions": points, "--decay-times": [] if points else times}
     words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
-    if words:
-        parts = [str(options.folder)]
-        for key in ("room", "space", "shoebox", "recordings", "unit", "up"):
-            value = getattr(options, key)
-            if value is not None:
-                values = [f"{x:g}" for x in value] if key == "shoebox" else [str(value)]
-                parts += [f"--{key}", *values]
-        yield f"perhaps: roomfit init {shlex.join(parts)} {' '.join(words)} --overwrite"
+    parts = [str(folder)]
+    for key, value in stated.items():
+        if value is not None:
+            parts += [f"--{key}", *(value if isinstance(value, list) else [str(value)])]
+    call = f"perhaps: roomfit init {shlex.join(parts)} {' '.join(words)} --overwrite"
+    return call if words else ""
 
 
 def _readable(folder: Path, readers: Mapping[str, Callable[[Path], object]]) -> list[Path]:

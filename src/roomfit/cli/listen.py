@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import soundfile
 
@@ -14,33 +12,19 @@ from roomfit.base.errors import InputError, InsufficientDataError, located
 from roomfit.base.findings import Code
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.base.whole_files import check_output_folder, whole_output_folder, write_json_atomically
-from roomfit.cli.arguments import result_file
-from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import ResultFile
 from roomfit.files.questions import Wanted, question_of_pairs
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.results import read_result
-from roomfit.predict.changes import Change, read_change
+from roomfit.predict.changes import read_change
 from roomfit.predict.listen import listen, with_dry_recording
 from roomfit.predict.output import listen_content
+from roomfit.report.blocks import Blocks
 from roomfit.report.predicted import listen_blocks
-from roomfit.report.progress import shown_progress
-from roomfit.report.text import text
 from roomfit.report.wording import in_file_name
 from roomfit.signals.measurement import Measurement
-
-
-def run(options: argparse.Namespace) -> None:
-    files = options.campaign, result_file(options, options.absorption), options.out
-    changes = [read_change(text) for text in options.changes or []]
-    wanted = Wanted("campaign", options.state or "", doubted=options.doubted)
-    how = {"dry": options.dry, "overwrite": options.overwrite}
-    with shown_progress("listening") as progress:
-        content = listen_to_folder(*files, changes, wanted, progress=progress, **how)
-    say(text(listen_blocks(content)))
-    say(f"\nWAV files and listen.json are in {options.out}")
 
 
 @reading_noted()
@@ -48,24 +32,27 @@ def listen_to_folder(
     campaign_file: Path,
     absorption_file: ResultFile,
     out: Path,
-    changes: Sequence[Change] = (),
-    wanted: Wanted = Wanted("campaign"),  # noqa: B008 - frozen
+    changes: Sequence[str] = (),
     *,
+    state: str = "",
+    doubted: bool = False,
     dry: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> Blocks:
     """Write measured responses before and after a change, as WAV files of floats, and listen.json.
 
     Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
-    them, all scaled by one factor so that the loudest has a peak of half. Returned is what
-    listen.json contains. `InsufficientDataError` where the result is seriously doubted in a band,
-    which a sound cannot leave out, and this is not wanted.
+    them, all scaled by one factor so that the loudest has a peak of half. `InsufficientDataError`
+    where the result is seriously doubted in a band, which a sound cannot leave out, unless
+    `doubted`.
     """
+    own = [read_change(text) for text in changes]
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    question = question_of_pairs(campaign, found, changes, wanted)
+    wanted = Wanted("campaign", state, doubted=doubted)
+    question = question_of_pairs(campaign, found, own, wanted)
     known = question.known
     for doubt in known.findings:
         if doubt.code is Code.RESULT_DOUBTED:
@@ -80,7 +67,7 @@ def listen_to_folder(
     with located(str(campaign_file)):
         made, findings = listen(question, progress=progress)
     sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
-    content = listen_content(known.bands, changes, made, findings, files_read())
+    content = listen_content(known.bands, own, made, findings, files_read())
     content["dry_factor"] = None
     if recorded is not None:
         sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
@@ -94,7 +81,7 @@ def listen_to_folder(
                 soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
             content["responses"][i - 1]["files"] = names
         write_json_atomically(folder / "listen.json", content)
-    return content
+    return listen_blocks(content)
 
 
 def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:

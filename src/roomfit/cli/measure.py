@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 from collections.abc import Callable
@@ -24,31 +23,39 @@ from roomfit.files.responses.sweep import (
 from roomfit.files.sound_card import SoundCard, devices_text, sounddevice
 
 
-def run(options: argparse.Namespace) -> None:
-    if options.list:
-        say(devices_text(sounddevice()))
-        return
-    folder, source, receiver = options.folder, options.source, options.receiver
+def measure(
+    *,
+    folder: Path | None,
+    source: str | None,
+    receiver: str | None,
+    seconds: float,
+    silence: float,
+    repetitions: int,
+    rate: float,
+    device: str | None,
+    output: str | None,
+    again: bool,
+    list: bool,  # noqa: A002 - the option's name
+) -> tuple[str, int]:
+    """Measure a pair by the sound devices of this machine, or name these."""
+    if list:
+        return devices_text(sounddevice()), 0
     if folder is None or source is None or receiver is None:
         what, found = "a measurement needs a folder and two names", shlex.join(sys.argv[1:])
         needed = "roomfit measure FOLDER --source S1 --receiver R1"
         raise InputError(what, found=found, needed=needed, hint="roomfit measure --help")
-    plan = SweepPlan(options.rate, options.seconds, options.silence, options.repetitions)
-    card = SoundCard(sounddevice(), _device(options.device), _device(options.output))
+    plan = SweepPlan(rate, seconds, silence, repetitions)
+    own = (int(x) if x is not None and x.isdecimal() else x for x in (device, output))
+    card = SoundCard(sounddevice(), *own)
     say(f"playing and recording for {plan.length_s:.0f} s: keep still")
     sys.stdout.flush()
-    measured = measure_to_folder(folder, source, receiver, plan, card, again=options.again)
-    say(f"{measured}\n\n{source} to {receiver} is in {folder}")
-    say(
+    measured = measure_to_folder(folder, source, receiver, plan, card, again=again)
+    said = (
+        f"{measured}\n\n{source} to {receiver} is in {folder}\n"
         'The devices delay each recording by another time: write time_zero = "direct" under '
         "[defaults] of the campaign."
     )
-    if measured.again:
-        sys.exit(1)
-
-
-def _device(text: str | None) -> str | int | None:
-    return int(text) if text is not None and text.isdecimal() else text
+    return said, 1 if measured.again else 0
 
 
 def measure_to_folder(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +16,6 @@ from roomfit.base.whole_files import (
     whole_output_folder,
     write_text_atomically,
 )
-from roomfit.cli.arguments import result_file
-from roomfit.cli.terminal import say
 from roomfit.design.campaign import design_arguments
 from roomfit.design.output import chosen_positions
 from roomfit.design.positions import design
@@ -28,10 +25,7 @@ from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
 from roomfit.predict.changes import Change
 from roomfit.predict.predict import ChangingRoom, prepare
-from roomfit.report.blocks import Blocks
 from roomfit.report.html import page
-from roomfit.report.progress import shown_progress
-from roomfit.report.text import text
 from roomfit.report.treated import describe, treatment_sentence
 from roomfit.room.scene import wall_materials
 from roomfit.treat.arrangements import Treatment, treat
@@ -42,17 +36,6 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 _LOG = logging.getLogger("roomfit")
 
 
-def run(options: argparse.Namespace) -> None:
-    found = options.absorption and result_file(options, options.absorption)
-    files = options.campaign, found, options.treatment, options.out
-    wanted = Wanted(options.pairs, options.state or "", doubted=options.doubted)
-    how = {"overwrite": options.overwrite, "png": options.png}
-    with shown_progress("choosing what to hang") as progress:
-        _, shown = treat_to_folder(*files, wanted=wanted, progress=progress, **how)
-    say(text(shown))
-    say(f"\ntreatment.html, .json, .csv and pictures are in {options.out}")
-
-
 @sole_writer
 @reading_noted()
 def treat_to_folder(
@@ -61,17 +44,20 @@ def treat_to_folder(
     treatment_file: Path,
     out: Path,
     *,
-    wanted: Wanted | None = None,
+    pairs: str = "all",
+    state: str = "",
+    doubted: bool = False,
     overwrite: bool = False,
     png: bool = False,
     progress: Progress | None = None,
-) -> tuple[Treatment, Blocks]:
+) -> Treatment:
     """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder."""
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
     found = None if absorption_file is None else read_result(absorption_file)
+    wanted = Wanted(pairs, state, doubted=doubted)
     question = question_of(campaign, found, covered, wanted)
     if question.field is not None and not campaign.has_room:
         raise InputError(
@@ -103,7 +89,7 @@ def treat_to_folder(
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
         write_text_atomically(folder / "treatment.html", page(shown))
         write_pictures(folder, shown, png_too=png)
-    return answer, shown
+    return answer
 
 
 # Of two pairs among few: the best of 200 leave intervals a tenth narrower at most, in 36 s not 6.

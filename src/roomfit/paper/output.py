@@ -53,22 +53,22 @@ from roomfit.report.wording import OKABE_ITO
 
 @sole_writer
 def run_paper(
-    folder: Path, *, seeds: int = 10, overwrite: bool = False, progress: Progress | None = None
-) -> PaperResult:
-    """Repeat the paper and write paper.json, table2.csv and pictures into a folder.
+    out: Path, *, seeds: int = 10, overwrite: bool = False, progress: Progress | None = None
+) -> str:
+    """Repeat the paper; write paper.json, table2.csv and pictures; return what was found.
 
     Nothing is written before everything is known. Seeds are those of `repeat_paper`.
     """
-    check_output_folder(folder, overwrite=overwrite)
+    check_output_folder(out, overwrite=overwrite)
     result = repeat_paper(seeds, progress=progress)
     columns = ("alpha1", "alpha2", "error_paper", "error_ours")
     table = Table("", columns, _table2_rows(result), form=".6g")
-    with whole_output_folder(folder, overwrite=overwrite) as aside:
+    with whole_output_folder(out, overwrite=overwrite) as aside:
         write_text_atomically(aside / "table2.csv", csv_of(table))
         for name, figure in _figures(result).items():
             write_bytes_atomically(aside / f"{name}.png", png(figure))
         write_json_atomically(aside / "paper.json", paper_json(result))
-    return result
+    return paper_text(result)
 
 
 def _table2_rows(result: PaperResult) -> list[list[float]]:

@@ -10,7 +10,12 @@ import numpy as np
 
 from roomfit.base.logit import Z95, expit
 from roomfit.base.table import Cell, Column, Table, Value, text_of
-from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
+from roomfit.materials.catalogue import (
+    OCTAVES_HZ,
+    CatalogueEntry,
+    find_material,
+    search_catalogue,
+)
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence, Terms
 from roomfit.report.wording import short_hertz
 
@@ -95,6 +100,14 @@ def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
     number = f"{len(entries)} materials" if len(entries) != 1 else "1 material"
     notes = ("", f"{number}. roomfit catalogue NAME shows one with its spread and sources.")
     return text_of(Table("", ("absorption at", *_OCTAVES), rows, notes))
+
+
+def materials_text(words: Sequence[str]) -> str:
+    """Return the entry of this name with its spread and sources, or a line for each that fits."""
+    found, name = search_catalogue(words), "-".join(words)
+    if words and (not found or name.lower() in (e.name for e in found)):
+        return entry_text(find_material(name))
+    return catalogue_text(found)
 
 
 def entry_text(entry: CatalogueEntry) -> str:

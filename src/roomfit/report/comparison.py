@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import itemgetter
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -14,8 +15,11 @@ from scipy.special import ndtr, ndtri
 
 from roomfit.base.errors import InputError
 from roomfit.base.shown import Shown
-from roomfit.base.table import Column, Table
+from roomfit.base.table import Column, Table, csv_of
 from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.base.whole_files import check_output_folder, whole_output_folder, write_text_atomically
+from roomfit.files.encoding import ResultFile
+from roomfit.files.results import read_result
 from roomfit.report.blocks import Blocks, Sentence
 from roomfit.report.wording import count, hertz, listing
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -184,6 +188,19 @@ def describe(compared: Comparison) -> Blocks:
     columns = ("material", "Hz", "first", "second", "difference", "")
     words = tuple(map(Sentence, comparison_sentences(compared)))
     return Blocks("Absorption compared", (Table("", columns, rows), *words), ())
+
+
+def compare_to_folder(
+    first: ResultFile, second: ResultFile, out: Path | None = None, *, overwrite: bool = False
+) -> Comparison:
+    """Compare two files of results; write compared.csv where there is a folder for it."""
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    compared = compare_results(read_result(first), read_result(second))
+    if out is not None:
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_text_atomically(folder / "compared.csv", csv_of(comparison_records(compared)))
+    return compared
 
 
 def _interval(values: FloatArray) -> str:

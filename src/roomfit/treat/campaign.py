@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +19,14 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import explained, read_toml
 from roomfit.files.inputs import in_these
 from roomfit.files.schema import (
+    Campaign,
     Hertz,
     PerBand,
     Position,
     PriorSd,
     Spectrum,
     Table,
+    json_schema,
     limited,
     the_one,
 )
@@ -243,3 +246,10 @@ def _target(table: TargetTable, room: Room) -> tuple[Target, tuple[Finding, ...]
         wide = float(jnd_of(name, np.array(table.value))) if wide is None else wide
         low, high = max(low, table.value - wide), min(high, table.value + wide)
     return Target(name, low, high, tuple(table.bands_hz), table.mean_of_bands), ()
+
+
+def schema_text(of: str) -> str:
+    """Return the JSON schema of campaign files or of treatment files, for editors."""
+    tables: dict[str, type[Table]] = {"campaign": Campaign, "treatment": TreatmentTable}
+    check_known("no schema of this name", of, tables)
+    return json.dumps(json_schema(tables[of], of.capitalize()), indent=2)
