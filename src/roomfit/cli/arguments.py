@@ -311,7 +311,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
     ),
     "impedance": (
         ("impedance.campaign.impedance_to_folder", "identifying impedances",
-         "result.json, impedance.csv and pictures are in {out}"),
+         "result.json and impedance.csv are in {out}"),
         "Find the acoustic impedance of a measured room's walls over frequency, with intervals.",
         _CAMPAIGN, _OUT, _OVERWRITE,
     ),

@@ -71,7 +71,7 @@ def impedance_to_folder(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ImpedanceResult:
-    """Identify impedances and write result.json, impedance.csv and pictures into a folder."""
+    """Identify impedances and write result.json, impedance.csv into a folder."""
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
@@ -309,16 +309,12 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
 
 
 def _wall_model(table: MaterialTable) -> WallModel:
-    kind, start = table.impedance or "spline", complex(0.8)
-    for name, value in (table.impedance_start or {}).items():
-        if name != "r0":
-            what = "unknown key of impedance_start"
-            needed = f'r0 for impedance = "{kind}": a number, or [real, imaginary]'
-            raise InputError(what, found=repr(name), needed=needed, hint=f"leave {name} out")
-        parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
-        if len(parts) != 2:
-            what, needed = "r0 of impedance_start is not a complex number", "a number, or [re, im]"
-            hint = "write r0 = 0.8, or r0 = [0.8, 0.1]"
-            raise InputError(what, found=repr(value), needed=needed, hint=hint)
-        start = complex(*parts)
-    return WallModel(kind, start)
+    kind, given = table.impedance or "spline", table.impedance_start or {}
+    check_known("unknown key of impedance_start", next(iter({*given} - {"r0"}), "r0"), ("r0",))
+    value = given.get("r0", 0.8)
+    parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
+    if len(parts) != 2:
+        what, needed = "r0 of impedance_start is not a complex number", "a number, or [re, im]"
+        hint = "write r0 = 0.8, or r0 = [0.8, 0.1]"
+        raise InputError(what, found=repr(value), needed=needed, hint=hint)
+    return WallModel(kind, complex(*parts))

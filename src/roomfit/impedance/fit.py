@@ -150,20 +150,9 @@ def polish(
         effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
     linear = Whitened(residual, jacobian, found.normal)
     error = marginal_likelihood_error(problem, linear)
-    return ImpedanceFit(
-        problem=problem,
-        x=x,
-        r0=passive(r0),
-        correction=correction,
-        roughness_sd=rough,
-        residual=residual,
-        effective=effective,
-        covariance=robust_covariance(problem, linear, error, effective),
-        model_error=error,
-        evaluations=evaluations,
-        rounds=rounds,
-        ending=ending,
-    )
+    covariance = robust_covariance(problem, linear, error, effective)
+    walls, ways = (passive(r0), correction, rough), (evaluations, rounds, ending)
+    return ImpedanceFit(problem, x, *walls, residual, effective, covariance, error, *ways)
 
 
 def _correction(problem: Problem, x: FloatArray) -> ComplexArray:

@@ -29,7 +29,7 @@ from roomfit.impedance.fit import (
     polish,
     reduced_chi2,
 )
-from roomfit.impedance.laws import Curve, WallModel
+from roomfit.impedance.laws import WallModel
 from roomfit.impedance.problem import Problem, check_observed, deviation
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.verdict import (
@@ -165,14 +165,13 @@ def identify_impedance(
     ('identified', True)
     """
     began = time.perf_counter()
-    settings, nuisances = settings or ImpedanceSettings(), nuisances or Nuisances()
-    curves, sd = _curves_and_sd(scene, observed, walls or {}, nuisances, settings)
-    findings = data_findings(scene, observed, curves, nuisances)
-    if findings:
-        return result_without_fit(scene, observed, sd, findings, time.perf_counter() - began)
     problem = wave_problem(scene, observed, walls, nuisances, settings)
+    findings = data_findings(problem)
+    if findings:
+        return result_without_fit(problem, findings, time.perf_counter() - began)
+    n_random = (settings or ImpedanceSettings()).random_starts
     _LOG.info("searching starts")
-    starts = multistart(problem, settings.random_starts, rng, part(progress, 0.0, 0.3))
+    starts = multistart(problem, n_random, rng, part(progress, 0.0, 0.3))
     _LOG.info("fitting impedances")
     fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
@@ -193,33 +192,24 @@ def wave_problem(
     settings: ImpedanceSettings | None = None,
 ) -> Problem:
     """Return what `identify_impedance` solves first; arguments and errors as there."""
-    settings, nuisances = settings or ImpedanceSettings(), nuisances or Nuisances()
-    curves, sd = _curves_and_sd(scene, observed, walls or {}, nuisances, settings)
-    model = wave_model(scene, observed.frequency_hz, observed.tau_s)
-    factor = _model_error(settings)
-    return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
-
-
-def _curves_and_sd(
-    scene: Scene,
-    observed: Observed,
-    walls: Mapping[str, WallModel],
-    nuisances: Nuisances,
-    settings: ImpedanceSettings,
-) -> tuple[tuple[Curve, ...], FloatArray]:
-    """Return the curve of each material and the deviation of a perfect fit; refuse what differs."""
+    settings, nuisances, walls = (
+        settings or ImpedanceSettings(),
+        nuisances or Nuisances(),
+        walls or {},
+    )
     check_observed(scene, observed, nuisances)
     for name in walls:
         what = "a model is specified for a wall that does not exist"
         check_known(what, name, scene.room.materials)
+    factor = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
+    factor = factor if settings.model_error is None else settings.model_error
     f = complex_frequency_hz(observed)
     curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
-    return curves, _deviation(scene, observed, _model_error(settings))
-
-
-def _model_error(settings: ImpedanceSettings) -> float:
-    usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
-    return usual if settings.model_error is None else settings.model_error
+    model, sd = (
+        wave_model(scene, observed.frequency_hz, observed.tau_s),
+        _deviation(scene, observed, factor),
+    )
+    return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
 def _deviation(scene: Scene, observed: Observed, factor: float) -> FloatArray:

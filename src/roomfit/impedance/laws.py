@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -16,6 +16,7 @@ from scipy.interpolate import BSpline
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
+from roomfit.impedance.wave_kernels import plane_reflection
 
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0
@@ -31,6 +32,7 @@ class Spline:
     basis: FloatArray  # (n_frequencies, n_functions)
     dense: FloatArray  # (n_points, n_functions): on a finer grid, where R0 must be passive
     start_r0: complex = 0.8
+    prior_sd: ClassVar[float] = math.inf  # of each number about its start
 
     @property
     def start(self) -> FloatArray:
@@ -43,10 +45,6 @@ class Spline:
         if n < 3:
             return np.zeros((0, 2 * n))
         return np.asarray(np.kron(np.eye(2), np.diff(np.eye(n), 2, axis=0)), dtype=np.float64)
-
-    @property
-    def prior_sd(self) -> float:
-        return math.inf
 
     def r0(self, x: FloatArray) -> ComplexArray:
         return _complex(self.basis, x)
@@ -75,18 +73,31 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     if len(frequency_hz) < _LEAST_COUPLED:
         eye = np.eye(len(frequency_hz))
         return Spline("spline", eye, eye, start_r0)
-    knots = _knots_hz(float(frequency_hz[0]), float(frequency_hz[-1]))
-    if len(knots) + 2 > len(frequency_hz):
-        knots = np.geomspace(frequency_hz[0], frequency_hz[-1], len(frequency_hz) - 2)
-    t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
-    fine = np.exp(np.linspace(t[0], t[-1], 8 * len(knots)))
+    knots = _knots_hz(frequency_hz)
+    fine = np.exp(np.linspace(np.log(knots[0]), np.log(knots[-1]), 8 * len(knots)))
     dense = np.concatenate([frequency_hz, fine])
+    basis, of_dense = (_design(knots, f)[0] for f in (frequency_hz, dense))
+    return Spline("spline", basis, of_dense, start_r0)
 
-    def at(f: FloatArray) -> FloatArray:
-        inside = np.clip(np.log(f), t[0], t[-1])
-        return np.asarray(BSpline.design_matrix(inside, t, 3).toarray())
 
-    return Spline("spline", at(frequency_hz), at(dense), start_r0)
+def _knots_hz(frequency_hz: FloatArray) -> FloatArray:
+    """Return knots from the lowest to the highest frequency, as `spline` has them."""
+    low, high = float(frequency_hz[0]), float(frequency_hz[-1])
+    knots = [low]
+    while knots[-1] < high:
+        knots.append(max(knots[-1] * 2.0 ** (1 / _KNOTS_PER_OCTAVE), knots[-1] + _CLOSEST_KNOTS_HZ))
+    if len(knots) + 2 > len(frequency_hz):
+        return np.geomspace(low, high, len(frequency_hz) - 2)
+    # drawn together, so that the last one ends where the data do
+    shrink = math.log(high / low) / math.log(knots[-1] / low)
+    return np.asarray(low * (np.array(knots) / low) ** shrink)
+
+
+def _design(knots_hz: FloatArray, at_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the cubic B-splines at frequencies, (n, n_functions), and the knots of all."""
+    t = np.log(np.concatenate(([knots_hz[0]] * 3, knots_hz, [knots_hz[-1]] * 3)))
+    inside = np.clip(np.log(at_hz), t[0], t[-1])
+    return np.asarray(BSpline.design_matrix(inside, t, 3).toarray()), t
 
 
 # Standard deviation of the factor by which an admittance may leave those of passive, causal walls:
@@ -123,6 +134,7 @@ class CausalCurve:
     log_coefficients: FloatArray  # (n_coefficients,), logarithm of v over the middle of the band
     basis: FloatArray  # (n_frequencies, n_functions), of the departure
     start_r0: complex = 0.8
+    prior_sd: ClassVar[float] = 1.0
 
     @property
     def start(self) -> FloatArray:
@@ -140,10 +152,6 @@ class CausalCurve:
         n = len(self.log_coefficients)
         rows = np.diff(np.eye(n), 2, axis=0)
         return np.hstack((rows, np.zeros((len(rows), 2 * self.basis.shape[1]))))
-
-    @property
-    def prior_sd(self) -> float:
-        return 1.0
 
     def r0(self, x: FloatArray) -> ComplexArray:
         return self.between(x)[0]
@@ -185,11 +193,7 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
         return free
     low, high = float(f[0]), float(f[-1])
     steps = np.arange(1, _BEYOND_OCTAVES * _KNOTS_PER_OCTAVE_BEYOND + 1) / _KNOTS_PER_OCTAVE_BEYOND
-    inner = _knots_hz(low, high)
-    if len(inner) + 2 > len(f):
-        inner = np.geomspace(low, high, len(f) - 2)
-    knots = np.concatenate((low * 2.0 ** -steps[::-1], inner, high * 2.0**steps))
-    t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
+    knots = np.concatenate((low * 2.0 ** -steps[::-1], _knots_hz(f), high * 2.0**steps))
     damping = max(-2.0 * np.pi * float(frequency_hz[0].imag), _LEAST_DAMPING)
     fine_hz = min(damping / (8.0 * np.pi), 0.1 * low)
     points = np.concatenate(
@@ -206,8 +210,7 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
     # the integrals below the first point and above the last, where the density is level
     kernel[:, 0] += np.arctan(v[0] / s[:, 0])
     kernel[:, -1] += 0.5 * np.pi - np.arctan(v[-1] / s[:, 0])
-    inside = np.clip(np.log(points), t[0], t[-1])
-    density = BSpline.design_matrix(inside, t, 3).toarray()
+    density, t = _design(knots, points)
     # where a spline's coefficients are those of a straight line
     at = np.array([t[i + 1 : i + 4].mean() for i in range(density.shape[1])])
     return CausalCurve(
@@ -230,16 +233,6 @@ def as_spline(curve: Curve) -> Curve:
 def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     """Return a reflection coefficient that does not change with frequency."""
     return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
-
-
-def _knots_hz(low: float, high: float) -> FloatArray:
-    """Return knots from low to high, a quarter octave and at least 25 Hz apart."""
-    knots = [low]
-    while knots[-1] < high:
-        knots.append(max(knots[-1] * 2.0 ** (1 / _KNOTS_PER_OCTAVE), knots[-1] + _CLOSEST_KNOTS_HZ))
-    # drawn together, so that the last one ends where the data do
-    shrink = math.log(high / low) / math.log(knots[-1] / low)
-    return np.asarray(low * (np.array(knots) / low) ** shrink)
 
 
 _ANGLES = 64
@@ -276,9 +269,7 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
     """
     node, weight = np.polynomial.legendre.leggauss(_ANGLES)
     cosine, weight = 0.5 * (node + 1.0), 0.5 * weight
-    r = np.asarray(r0, dtype=np.complex128)[..., None]
-    q = (1.0 - cosine) / (1.0 + cosine)
-    reflected = np.abs((r - q) / (1.0 - q * r)) ** 2
+    reflected = np.abs(plane_reflection(np.asarray(r0)[..., None], cosine)) ** 2
     return np.asarray(np.sum((1.0 - reflected) * 2.0 * cosine * weight, axis=-1))
 
 

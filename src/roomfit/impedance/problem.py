@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.arguments import read_only
+from roomfit.base.arguments import check_shape, read_only
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz, standard_deviation
@@ -84,10 +84,7 @@ class Problem:
 
 def check_observed(scene: Scene, observed: Observed, nuisances: Nuisances) -> None:
     """Refuse pressures of other pairs, and levels where phases are needed."""
-    if len(observed.pressure) != len(scene.pairs):
-        found, needed = f"{len(observed.pressure)} pairs", f"{len(scene.pairs)} pairs"
-        hint = "one row for each pair of the scene"
-        raise InputError("pressures and model disagree", found=found, needed=needed, hint=hint)
+    check_shape("pressures of the pairs of the scene", observed.pressure, (len(scene.pairs), None))
     if nuisances.free_spectra and not observed.has_phase:
         what = "an unknown spectrum of the source needs pressures with phase"
         needed, hint = "pressures with phase", "take one gain a source instead"
@@ -281,29 +278,26 @@ def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Row
     coefficients.
     """
     layout = problem.layout
-    rows: list[FloatArray] = []
-    values: list[FloatArray] = []
-
-    def add(place: slice, own: FloatArray, value: FloatArray) -> None:
-        wide = np.zeros((len(own), layout.size))
-        wide[:, place] = own
-        rows.append(wide)
-        values.append(value)
-
+    blocks: list[tuple[slice, FloatArray, FloatArray]] = []  # where, rows and residuals
     for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
         own = curve.roughness / roughness_sd[i]
-        add(place, own, own @ x[place])
+        blocks.append((place, own, own @ x[place]))
         if math.isfinite(curve.prior_sd):
             eye = np.eye(len(curve.start)) / curve.prior_sd
-            add(place, eye, eye @ (x[place] - curve.start))
+            blocks.append((place, eye, eye @ (x[place] - curve.start)))
         r0, slope = curve.between(x[place])
         size = np.abs(r0)
         over = size > 1.0
         by = np.real(np.conj(r0[over] / size[over])[:, None] * slope[over])
-        add(place, by / _PASSIVE_WITHIN, (size[over] - 1.0) / _PASSIVE_WITHIN)
+        blocks.append((place, by / _PASSIVE_WITHIN, (size[over] - 1.0) / _PASSIVE_WITHIN))
     for place in (layout.source.place, layout.receiver.place, layout.speed, layout.delay):
-        add(place, np.eye(place.stop - place.start), x[place])
+        blocks.append((place, np.eye(place.stop - place.start), x[place]))
     n = (layout.gain.stop - layout.gain.start) // 2
     scale = np.diag(np.repeat([1.0 / _GAIN_SD, 1.0 / _PHASE_SD], n))
-    add(layout.gain, scale, scale @ x[layout.gain])
-    return np.concatenate(values), np.vstack(rows)
+    blocks.append((layout.gain, scale, scale @ x[layout.gain]))
+    slope = np.zeros((sum(len(own) for _, own, _ in blocks), layout.size))
+    at = 0
+    for place, own, _ in blocks:
+        slope[at : at + len(own), place] = own
+        at += len(own)
+    return np.concatenate([value for *_, value in blocks]), slope

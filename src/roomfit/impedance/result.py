@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from roomfit.base.arguments import read_only
 from roomfit.base.findings import Finding
@@ -21,16 +20,13 @@ from roomfit.base.table import Column, Table, Value, csv_of
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.base.whole_files import (
     whole_output_folder,
-    write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
 from roomfit.files.encoding import finding_content, number_or_null, numbers_or_null, provenance
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence
-from roomfit.report.figures import new_figure, png
 from roomfit.report.text import text
-from roomfit.report.wording import OKABE_ITO
 
 Z95 = 1.959964  # standard normal, 97.5 %
 # R0 counts as identified where its interval is no wider, Z is shown where its is, relative.
@@ -205,8 +201,6 @@ def material_impedance(
 
     Shapes: `r0` (n_frequencies,), `covariance` (n_frequencies, 2, 2).
     """
-    reach = _complex_reach(covariance, np.ones(len(r0), dtype=np.complex128))
-    normal, random = absorption_normal(r0), absorption_random(r0)
     # With the second order, without which a wall that is matched, R0 = 0, would be known exactly:
     # of a normal R0 with mean r and covariance S the square has the variance 4 r S r + 2 trace(S S)
     # and a mean that is larger by trace(S).
@@ -214,40 +208,33 @@ def material_impedance(
     first = np.einsum("fa,fab,fb->f", parts, covariance, parts)
     second = np.einsum("fab,fba->f", covariance, covariance)
     dn = Z95 * np.sqrt(np.maximum(4.0 * first + 2.0 * second, 0.0))
-    below_normal = np.trace(covariance, axis1=1, axis2=2)
     # inside the disc, so that the steps meet walls that absorb
     inner = r0 * (1.0 - 2.0 * _STEP)
     at = absorption_random(inner)
     by = [(absorption_random(inner + d) - at) / _STEP for d in (_STEP, 1j * _STEP)]
     dr = _reach(covariance, np.stack(by, axis=1))
     below, above = (np.where(np.abs(x) < 1e-9, 1e-9, x) for x in (1.0 + r0, 1.0 - r0))
-    admittance = (1.0 - r0) / below
-    da = _complex_reach(covariance, np.asarray(-2.0 / below**2))
+    by_r0 = (np.ones(len(r0), dtype=np.complex128), -2.0 / below**2, 2.0 / above**2)
+    d0, dy, dz = (_complex_reach(covariance, np.asarray(by)) for by in by_r0)
     z = impedance_of_r0(r0)
-    dz = _complex_reach(covariance, np.asarray(2.0 / above**2))
     shown = 2.0 * np.maximum(dz.real, dz.imag) <= WIDEST_Z * np.abs(z)
-    unknown = complex(np.nan, np.nan)
-    return MaterialImpedance(
-        name=name,
-        kind=kind,
-        r0=r0,
-        r0_lower95=_clipped(r0 - reach),
-        r0_upper95=_clipped(r0 + reach),
-        absorption_normal=normal,
-        absorption_normal_lower95=np.clip(normal - dn - below_normal, 0.0, 1.0),
-        absorption_normal_upper95=np.clip(normal + dn, 0.0, 1.0),
-        absorption_random=random,
-        absorption_random_lower95=np.clip(random - dr, 0.0, 1.0),
-        absorption_random_upper95=np.clip(random + dr, 0.0, 1.0),
-        admittance=admittance,
-        admittance_lower95=admittance - da,
-        admittance_upper95=admittance + da,
-        impedance=np.where(shown, z, unknown),
-        impedance_lower95=np.where(shown, z - dz, unknown),
-        impedance_upper95=np.where(shown, z + dz, unknown),
-        impedance_shown=shown,
-        identified=2.0 * np.maximum(reach.real, reach.imag) <= WIDEST_R0,
-    )
+    z = np.where(shown, z, complex(np.nan, np.nan))
+    fields: dict[str, Any] = {}
+    for quantity, value, down, up in (
+        ("r0", r0, d0, d0),
+        ("absorption_normal", absorption_normal(r0), dn + np.trace(covariance.T), dn),
+        ("absorption_random", absorption_random(r0), dr, dr),
+        ("admittance", (1.0 - r0) / below, dy, dy),
+        ("impedance", z, dz, dz),
+    ):
+        ends = value - down, value + up
+        if quantity == "r0":
+            ends = _clipped(ends[0]), _clipped(ends[1])
+        elif quantity.startswith("absorption"):
+            ends = np.clip(ends[0], 0.0, 1.0), np.clip(ends[1], 0.0, 1.0)
+        fields |= {quantity: value, f"{quantity}_lower95": ends[0], f"{quantity}_upper95": ends[1]}
+    identified = 2.0 * np.maximum(d0.real, d0.imag) <= WIDEST_R0
+    return MaterialImpedance(name, kind, **fields, impedance_shown=shown, identified=identified)
 
 
 def _complex_reach(covariance: FloatArray, by_r0: ComplexArray) -> ComplexArray:
@@ -269,11 +256,10 @@ def _clipped(r0: ComplexArray) -> ComplexArray:
 def write_impedance(
     out: Path, result: ImpedanceResult, inputs: Iterable[Path], *, overwrite: bool = False
 ) -> None:
-    """Write result.json, impedance.csv and a picture into a folder, all of it or nothing."""
+    """Write result.json and impedance.csv into a folder, both or nothing."""
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_text_atomically(folder / "impedance.csv", csv_of(_records(result)))
         write_json_atomically(folder / "result.json", _content(result, inputs))
-        write_bytes_atomically(folder / "impedance.png", png(_walls_figure(result)))
 
 
 def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
@@ -336,35 +322,3 @@ def _records(result: ImpedanceResult) -> Table:
         flags = material.identified.tolist()
         rows += [(material.name, *x, flag) for x, flag in zip(numbers, flags, strict=True)]
     return Table("", ("material", Column("frequency_hz"), *names), rows, form=".6g")
-
-
-_PANELS = (
-    ("R0", (("r0_real", "real part"), ("r0_imag", "imaginary part"))),
-    (
-        "absorption coefficient",
-        (("absorption_normal", "normal incidence"), ("absorption_random", "random incidence")),
-    ),
-    ("impedance over that of air", (("z_real", "real part"), ("z_imag", "imaginary part"))),
-)
-
-
-def _walls_figure(result: ImpedanceResult) -> Figure:
-    """Return R0, absorption and, where narrow, impedance of every material, one row each."""
-    n, f = len(result.materials), result.frequency_hz
-    figure = new_figure(11.0, 2.6 * n + 0.6)
-    rows = figure.subplots(n, len(_PANELS), sharex=True, squeeze=False)
-    for row, material in zip(rows, result.materials, strict=True):
-        columns = material.columns()
-        for axes, (label, drawn) in zip(row, _PANELS, strict=True):
-            for (name, words), colour in zip(drawn, OKABE_ITO, strict=False):
-                value, low, high = (columns[name + end] for end in ("", "_lower95", "_upper95"))
-                axes.fill_between(f, low, high, color=colour, alpha=0.25, lw=0.0)
-                axes.plot(f, value, color=colour, lw=1.6, label=words)
-            axes.set_ylabel(label)
-            axes.grid(alpha=0.25)
-            axes.legend(frameon=False, fontsize=8)
-        row[0].set_title(f"{material.name} ({material.kind})", fontsize=10)
-    weaker = " (a weaker verdict)" if result.verdict.weaker else ""
-    figure.suptitle(f"{result.verdict.word}{weaker}; bands hold 95 %", fontsize=10)
-    figure.supxlabel("frequency (Hz)", fontsize=10)
-    return figure

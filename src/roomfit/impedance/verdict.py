@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -12,12 +11,11 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, level_at, model_error, smoothed
 from roomfit.impedance.fit import SAME_WITHIN, ImpedanceFit, Start, distance, reduced_chi2
-from roomfit.impedance.laws import Curve, Spline, as_spline
+from roomfit.impedance.laws import Spline, as_spline
 from roomfit.impedance.problem import (
     Problem,
     data_rows,
     factor_of,
-    layout_of,
     source_spectra,
     state_of,
 )
@@ -29,7 +27,7 @@ from roomfit.impedance.result import (
     Verdict,
     material_impedance,
 )
-from roomfit.impedance.wave_model import Nuisances, predicted_pressure
+from roomfit.impedance.wave_model import predicted_pressure
 from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Scene
 
@@ -58,35 +56,29 @@ _COMPLEX_MEDIAN, _REAL_MEDIAN = math.log(2.0), 0.4549364
 _FLOOR = 1e-3
 
 
-def data_findings(
-    scene: Scene, observed: Observed, curves: tuple[Curve, ...], nuisances: Nuisances
-) -> tuple[Finding, ...]:
+def data_findings(problem: Problem) -> tuple[Finding, ...]:
     """Return a serious finding where the data cannot determine the unknowns, whatever they say.
 
     Two numbers a pair and frequency (levels: one), less the gains that are unknown, must be at
     least the numbers of the walls; and frequency by frequency, where nothing couples them, one pair
     more than materials: with as many there are other exact solutions, see docs/impedance.md.
     """
-    n_pairs, n_f = observed.pressure.shape
-    n_materials = len(curves)
-    frequencies = "one frequency" if n_f == 1 else f"{n_f} frequencies"
-    evidence = {"pairs": n_pairs, "frequencies": n_f}
-    needed = sum(len(as_spline(curve).start) for curve in curves)
+    observed, curves, gain = problem.observed, problem.curves, problem.layout.gain
+    (n_pairs, n_f), n_materials = observed.pressure.shape, len(curves)
+    needed = sum(len(as_spline(c).start) for c in curves) + gain.stop - gain.start
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
-    if nuisances.free_spectra:
-        data -= 2 * len(np.unique(scene.pairs[:, 0])) * n_f
-    gain = layout_of(scene, curves, nuisances).gain
-    needed += gain.stop - gain.start
+    if problem.nuisances.free_spectra:
+        data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
+    evidence = {"pairs": n_pairs, "frequencies": n_f}
     if n_f < _COUPLED and not observed.has_phase:
         sentence = (
-            f"Levels without phase at {frequencies} do not distinguish a wall from others that "
+            f"Levels without phase at {n_f} frequencies do not distinguish a wall from others that "
             "reflect as much with another phase. Give phases, or levels over a whole band."
         )
     elif n_f < _COUPLED and n_pairs < n_materials + 1:
         sentence = (
-            f"{n_pairs} pair{'s' * (n_pairs != 1)} at {frequencies} cannot distinguish "
-            f"{n_materials} materials: {n_materials + 1} pairs are needed, or "
-            "frequencies that a smooth curve couples."
+            f"{n_pairs} pairs at {n_f} frequencies cannot distinguish {n_materials} materials: "
+            f"{n_materials + 1} pairs are needed, or frequencies that a smooth curve couples."
         )
         evidence["materials"] = n_materials
     elif data < needed:
@@ -160,24 +152,23 @@ def judged_result(
 
 
 def result_without_fit(
-    scene: Scene, observed: Observed, sd: FloatArray, findings: tuple[Finding, ...], seconds: float
+    problem: Problem, findings: tuple[Finding, ...], seconds: float
 ) -> ImpedanceResult:
     """Return the result where the data cannot determine the unknowns: nothing but that."""
+    scene, observed, cause = problem.model.scene, problem.observed, "too few data"
     n_f = len(observed.frequency_hz)
     nothing, unbounded = np.zeros(n_f, dtype=np.complex128), np.tile(1e6 * np.eye(2), (n_f, 1, 1))
-    cause = "too few data"
+    materials = (material_impedance(m, "none", nothing, unbounded) for m in scene.room.materials)
     return ImpedanceResult(
         frequency_hz=observed.frequency_hz,
         tau_s=observed.tau_s,
-        materials=tuple(
-            material_impedance(name, "none", nothing, unbounded) for name in scene.room.materials
-        ),
+        materials=tuple(materials),
         verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}."),
         findings=findings,
         pairs=pair_names(scene),
         measured=observed.pressure,
         predicted=np.zeros_like(observed.pressure),
-        expected_rms=sd,
+        expected_rms=problem.sd,
         seconds=seconds,
     )
 
@@ -245,13 +236,11 @@ def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
 
 def _predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
     """Return the predicted pressures with gains and delays, (n_pairs, n_frequencies)."""
-    problem = fit.problem
-    state = state_of(problem, fit.x)
+    problem, state = fit.problem, state_of(fit.problem, fit.x)
     short = predicted_pressure(problem.model, fit.r0, state, spherical=False, short=True)
     predicted = factor_of(problem, fit.x) * (short + fit.correction)
-    if problem.nuisances.free_spectra:
-        return np.asarray(predicted * source_spectra(problem, predicted))
-    return np.asarray(predicted)
+    spectra = source_spectra(problem, predicted) if problem.nuisances.free_spectra else 1.0
+    return np.asarray(predicted * spectra)
 
 
 def _wall_condition(fit: ImpedanceFit) -> float:
@@ -314,39 +303,30 @@ def _verdict(
     materials: tuple[MaterialImpedance, ...],
 ) -> tuple[Verdict, list[Finding]]:
     chi2, octaves = reduced_chi2(fit), _chi2_by_octave(fit)
-    noise_over_level = _noise_over_level(fit.problem.observed)
-    loud = observed.noise is None and noise_over_level > LOUDEST_ESTIMATED_NOISE
-    worst = max((c for _, c in octaves), default=0.0)
-    if loud or chi2 > CHI2_LIMIT or worst > OCTAVE_CHI2_LIMIT:
-        cause = _likely_cause(octaves)
-        if loud:
-            cause = "what the fit leaves is larger than any noise should be"
+    loud = _noise_over_level(fit.problem.observed) > LOUDEST_ESTIMATED_NOISE
+    loud = loud and observed.noise is None
+    if loud or chi2 > CHI2_LIMIT or max((c for _, c in octaves), default=0.0) > OCTAVE_CHI2_LIMIT:
+        loudest = "what the fit leaves is larger than any noise should be"
+        cause = loudest if loud else _likely_cause(octaves)
         sentence = (
             f"The model does not fit: it leaves {chi2:.1f} times the expected squares."
             f" Likely cause: {cause}."
         )
-        finding = Finding(
-            Code.IMPEDANCE_DOES_NOT_FIT,
-            About(),
-            sentence + " Do not use the walls found.",
-            {"chi2": chi2, "cause": cause},
-        )
+        evidence = {"chi2": chi2, "cause": cause}
+        code, advice = Code.IMPEDANCE_DOES_NOT_FIT, " Do not use the walls found."
+        finding = Finding(code, About(), sentence + advice, evidence)
         return Verdict("does not fit", cause, sentence), [finding]
     unsure = [m.name for m in materials if float(np.mean(m.identified)) < ENOUGH_FREQUENCIES]
-    if rivals or unsure:
-        cause = f"the data hardly depend on {', '.join(unsure)}"
-        if rivals:
-            cause = "other walls explain the data as well"
-        sentence = f"Not identifiable: {cause}."
-        finding = Finding(
-            Code.IMPEDANCE_NOT_IDENTIFIABLE,
-            About(materials=unsure),
-            sentence + " More pairs, or pairs nearer to the walls concerned, would help.",
-            {"rivals": len(rivals), "materials": unsure},
-        )
-        return Verdict("not identifiable", cause, sentence), [finding]
-    sentence = f"Identified: the residual is {chi2:.2f} of what noise and model error allow."
-    return Verdict("identified", "", sentence), []
+    if not (rivals or unsure):
+        sentence = f"Identified: the residual is {chi2:.2f} of what noise and model error allow."
+        return Verdict("identified", "", sentence), []
+    cause = f"the data hardly depend on {', '.join(unsure)}"
+    cause = "other walls explain the data as well" if rivals else cause
+    sentence, code = f"Not identifiable: {cause}.", Code.IMPEDANCE_NOT_IDENTIFIABLE
+    advice = " More pairs, or pairs nearer to the walls concerned, would help."
+    evidence = {"rivals": len(rivals), "materials": unsure}
+    finding = Finding(code, About(materials=unsure), sentence + advice, evidence)
+    return Verdict("not identifiable", cause, sentence), [finding]
 
 
 def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:
@@ -355,14 +335,12 @@ def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:
     n_pairs = len(fit.problem.observed.pressure)
     square = np.reshape(fit.residual**2, (-1, n_pairs, len(f))).mean(axis=(0, 1))
     share = max(1.0 - fit.effective / len(fit.residual), 1e-3)
-    edges = [float(f[0])]
-    while edges[-1] < f[-1]:
-        edges.append(2.0 * edges[-1])
-    found = []
-    for low, high in pairwise(edges):
-        own = (f >= low) & (f <= high)
+    found, low = [], float(f[0])
+    while low < f[-1]:
+        own = (f >= low) & (f <= 2.0 * low)
         if own.any():
-            found.append((float(min(high, f[-1])), float(square[own].mean()) / share))
+            found.append((float(min(2.0 * low, f[-1])), float(square[own].mean()) / share))
+        low *= 2.0
     return found
 
 

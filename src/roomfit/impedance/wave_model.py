@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from roomfit.base.air import pressure_decay_per_m, speed_of_sound_m_s
-from roomfit.base.arguments import check_known, check_range, read_only
+from roomfit.base.arguments import check_known, check_range
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.wave_kernels import (
@@ -63,30 +63,25 @@ def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -
         images = expected_images(abs(volume_m3(mesh)), length_m)
         return images * hits * len(scene.pairs) * n_frequencies
 
-    affordable_s = tau_s
+    affordable_s, found = tau_s, f"{reflections(tau_s):.2g} reflections times frequencies"
     if reflections(tau_s) > MOST_REFLECTIONS:
         for _ in range(6):  # each step brings the fixed point at least four times as near
             affordable_s *= (MOST_REFLECTIONS / reflections(affordable_s)) ** 0.25
-        found = f"{reflections(tau_s):.2g} reflections times frequencies"
-        hint = "choose a shorter window, or fewer frequencies"
     elif n_triangles > _FEW_TRIANGLES:
         work = MOST_WORK / max(len(np.unique(scene.pairs[:, 0])), 1)
         duration_s = affordable_duration_s(scene, lengths * tau_s, work=work, images=1e6)
         # what is asked for comes back as it is, up to rounding
         affordable_s = tau_s if duration_s >= 0.999 * lengths * tau_s else duration_s / lengths
         found = f"a room of {n_triangles} triangles"
-        hint = "choose a shorter window, or a room of fewer walls"
     if affordable_s < tau_s:
-        raise InputError(
-            "the exponential window lets more reflections through than can be weighed in minutes",
-            found=f"tau = {1000.0 * tau_s:g} ms, {found}",
-            needed=f"tau of at most {math.floor(affordable_s * 1e4) / 10.0:g} ms here",
-            hint=hint,
-        )
+        what = "the exponential window lets more reflections through than can be weighed in minutes"
+        found = f"tau = {1000.0 * tau_s:g} ms, {found}"
+        needed = f"tau of at most {math.floor(affordable_s * 1e4) / 10.0:g} ms here"
+        hint = "choose a shorter window, fewer frequencies, or a room of fewer walls"
+        raise InputError(what, found=found, needed=needed, hint=hint)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnfoldedPaths:
+class UnfoldedPaths(NamedTuple):
     """Specular paths of every pair, unfolded, with all that a pressure needs.
 
     From its image a path runs straight along `vector_m` to the receiver. When the source moves by
@@ -106,10 +101,6 @@ class UnfoldedPaths:
     normal: FloatArray
     hits: IntArray  # (n_bounces,), int64: for how many hits a bounce stands
 
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            read_only(getattr(self, name))
-
 
 def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
     """Return all specular paths of every pair up to a length.
@@ -119,13 +110,10 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
     distances = distances_m(scene)
     if distances.size and distances.min() < 1e-6:
         source, receiver = scene.pairs[int(np.argmin(distances))]
-        raise InputError(
-            "a source stands where a receiver is",
-            where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
-            found="less than a micrometre apart",
-            needed="two places",
-            hint="correct one of the two positions",
-        )
+        where = f"{scene.sources[source].name} and {scene.receivers[receiver].name}"
+        what, found = "a source stands where a receiver is", "less than a micrometre apart"
+        hint = "correct one of the two positions"
+        raise InputError(what, where=where, found=found, needed="two places", hint=hint)
     parts: list[UnfoldedPaths | None] = [None] * len(scene.pairs)
     if scene.room.shoebox_m is not None:
         for i, (s, r) in enumerate(scene.pairs):
