@@ -227,12 +227,12 @@ def material_impedance(
         ("admittance", (1.0 - r0) / below, dy, dy),
         ("impedance", z, dz, dz),
     ):
-        ends = value - down, value + up
+        low, high = np.asarray(value - down), np.asarray(value + up)
         if quantity == "r0":
-            ends = _clipped(ends[0]), _clipped(ends[1])
+            low, high = _clipped(low), _clipped(high)
         elif quantity.startswith("absorption"):
-            ends = np.clip(ends[0], 0.0, 1.0), np.clip(ends[1], 0.0, 1.0)
-        fields |= {quantity: value, f"{quantity}_lower95": ends[0], f"{quantity}_upper95": ends[1]}
+            low, high = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
+        fields |= {quantity: value, f"{quantity}_lower95": low, f"{quantity}_upper95": high}
     identified = 2.0 * np.maximum(d0.real, d0.imag) <= WIDEST_R0
     return MaterialImpedance(name, kind, **fields, impedance_shown=shown, identified=identified)
 

@@ -123,10 +123,10 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
         reflectors, limits = reflectors_of(scene.room), limits_of(_ANY_ORDER, longest_m)
         also = {"with_image_transforms": True, "with_triangles": True}
         for source in np.unique(scene.pairs[:, 0]).tolist():  # once a source
-            found = images_of_source(scene, reflectors, limits, source, **also)
+            images = images_of_source(scene, reflectors, limits, source, **also)
             own = np.flatnonzero(scene.pairs[:, 0] == source)
-            for i, images in zip(own.tolist(), found, strict=True):
-                parts[i] = _paths_of_images(scene.room, images)
+            for i, one in zip(own.tolist(), images, strict=True):
+                parts[i] = _paths_of_images(scene.room, one)
     whole = [p for p in parts if p is not None]
     bounces = np.concatenate([np.diff(p.bounce_first) for p in whole])
     return UnfoldedPaths(
