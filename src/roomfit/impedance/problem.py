@@ -295,9 +295,9 @@ def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Row
     n = (layout.gain.stop - layout.gain.start) // 2
     scale = np.diag(np.repeat([1.0 / _GAIN_SD, 1.0 / _PHASE_SD], n))
     blocks.append((layout.gain, scale, scale @ x[layout.gain]))
-    slope = np.zeros((sum(len(own) for _, own, _ in blocks), layout.size))
+    rows = np.zeros((sum(len(own) for _, own, _ in blocks), layout.size))
     at = 0
     for place, own, _ in blocks:
-        slope[at : at + len(own), place] = own
+        rows[at : at + len(own), place] = own
         at += len(own)
-    return np.concatenate([value for *_, value in blocks]), slope
+    return np.concatenate([value for *_, value in blocks]), rows
