@@ -39,22 +39,6 @@ LONGEST = (
     "test_workers.py",
     "test_batch.py",
     "test_shape.py",
-    "fit/test_displacement.py",
-    "predict/test_known_change.py",
-    "fit/test_states.py",
-    "report/test_progress.py",
-    "files/test_bad_input.py",
-    "impedance/test_fit.py",
-    "fit/test_directivity.py",
-    "checks/test_arrivals.py",
-    "report/test_known_parameters.py",
-    "fuzz/test_fuzz.py",
-    "files/test_responses.py",
-    "predict/test_predictive_draws.py",
-    "test_kernels.py",
-    "cli/test_cli.py",
-    "app/test_security.py",
-    "app/test_project.py",
 )
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 

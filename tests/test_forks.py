@@ -16,7 +16,6 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.base.forks import (
-    at_once,
     beside,
     count_evaluation,
     counted_evaluations,
@@ -44,15 +43,6 @@ def test_items_keep_their_order_and_two_processes_share_them() -> None:
     found = in_forks(slow_square, range(7))
     assert [x for x, _ in found] == [x * x for x in range(7)]
     assert len({pid for _, pid in found}) == 2
-
-
-def test_each_copy_has_one_thread_and_makes_no_copies_of_its_own() -> None:
-    assert in_forks(lambda _: (time.sleep(0.05), at_once())[1], range(4)) == [1] * 4
-
-
-@pytest.mark.parametrize("n", (0, 1))
-def test_where_there_is_nothing_to_share_this_process_does_it(n: int) -> None:
-    assert [pid for _, pid in in_forks(slow_square, range(n))] == [HERE] * n
 
 
 def failing(x: int) -> int:

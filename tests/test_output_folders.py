@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from roomfit.base.errors import InputError, StoreError
 from roomfit.base.whole_files import sole_writer, whole_output_folder
+from roomfit.files.results import check_disk_room
 from small_campaign import run_command
 
 # processes of these tests import their helpers, too
@@ -222,44 +225,6 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-@POSIX
-def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
-    """Python prints it as ignored and goes on; the command line asks again."""
-    run = command(
-        "class Slow:\n        def __del__(self):\n"
-        "            print('in', flush=True); time.sleep(600)\n"
-        "    Slow()\n    time.sleep(600)"
-    )
-    assert run.stdout is not None and run.stdout.readline() == b"in\n"
-    run.send_signal(signal.SIGINT)
-    _, said = run.communicate()
-    assert run.returncode == 130
-    assert b"Exception ignored" in said
-
-
-@POSIX
-def test_an_interrupt_within_exec_ends_with_the_same_code():
-    """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
-    run = command("exec('raise KeyboardInterrupt')")
-    _, said = run.communicate()
-    assert run.returncode == 130
-    assert said.startswith(b"interrupted")
-
-
-@FULL
-def test_where_messages_cannot_be_written_the_exit_code_still_tells(tmp_path):
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "roomfit", "check", str(tmp_path / "none.toml")],
-            stdout=full,
-            stderr=full,
-            check=False,
-            env={**os.environ, "PYTHONUNBUFFERED": ""},
-        )
-    assert done.returncode == 2
-
-
 @POSIX
 def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsys):
     table = tmp_path / "absorption.csv"
@@ -284,3 +249,30 @@ def test_output_to_a_full_device_is_reported(tmp_path):
         )
     assert done.returncode == 2
     assert done.stderr.startswith(b"the disk is full") and b"Traceback" not in done.stderr
+
+
+class Disk(NamedTuple):
+    total: int
+    free: int
+
+
+def with_free(monkeypatch, disk: Disk) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: disk)
+
+
+def test_the_room_that_a_result_needs_grows_with_pairs_and_results(tmp_path, monkeypatch):
+    """To the byte on either side; a disk that tells nothing, or fails to, is not refused."""
+    needed = 3 * 1_500_000 + 10 * 200_000
+    with_free(monkeypatch, Disk(10**12, needed))
+    check_disk_room(tmp_path / "new" / "out", 10, 3)
+    with_free(monkeypatch, Disk(10**12, needed - 1))
+    with pytest.raises(StoreError, match=r"(?s)6\.5 MB free.*about 6\.5 MB"):
+        check_disk_room(tmp_path / "new" / "out", 10, 3)
+    with_free(monkeypatch, Disk(0, 0))
+    check_disk_room(tmp_path, 10)
+
+    def fails(_path: object) -> Disk:
+        raise OSError(38, "not implemented")
+
+    monkeypatch.setattr(shutil, "disk_usage", fails)
+    check_disk_room(tmp_path, 10)

@@ -15,7 +15,6 @@ import _peer
 from roomfit.base.air import Air
 from roomfit.base.errors import InputError
 from roomfit.room.scene import Point, Scene, shoebox_room
-from roomfit.signals.iso3382 import MeasuredValues
 
 LENGTHS_M = (5.0, 4.0, 3.0)
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -65,20 +64,6 @@ def test_each_wall_of_a_box_is_its_own_group_with_normals_into_the_room(tmp_path
         assert area == pytest.approx(math.prod(LENGTHS_M) / LENGTHS_M[axis], rel=1e-12)
 
 
-def test_values_stand_in_eight_octaves_and_what_is_missing_is_null(tmp_path):
-    measured = {"T30_s": [0.5, 0.6], "C80_dB": [9.0, np.nan], "D50_percent": [80.0, 81.0]}
-    _peer.write_values([MeasuredValues("S1", "R1", [250, 500], measured)], tmp_path / "v.json")
-    assert json.loads((tmp_path / "v.json").read_text()) == {
-        "pairs": {
-            "S1 R1": {
-                "t30": [None, None, 0.5, 0.6, None, None, None, None],
-                "edt": [None] * 8,
-                "c80": [None, None, 9.0, None, None, None, None, None],
-            }
-        }
-    }
-
-
 def test_an_answer_is_read_by_material_and_octave_and_no_error_holds_nothing(tmp_path):
     """1.96 standard errors, cut at 0 and 1; a standard error of null leaves 0 to 1."""
     (tmp_path / "fit.json").write_text(json.dumps(answer()))
@@ -87,20 +72,6 @@ def test_an_answer_is_read_by_material_and_octave_and_no_error_holds_nothing(tmp
     low, high = fit.bounds
     np.testing.assert_allclose(low, [[0.012, 0.0, 0.062], [0.014, 0.0, 0.064]], atol=1e-12)
     np.testing.assert_allclose(high, [[0.208, 1.0, 0.258], [0.406, 1.0, 0.456]], atol=1e-12)
-
-
-def test_a_prediction_is_that_of_its_pair(tmp_path):
-    rows = {"edt": [0.2] * 8, "t30": [0.3] * 7 + [None], "c80": [12.0] * 8}
-    pairs = [
-        {"source": "S1", "listener": "R1", "parameters": {k: [9.0] * 8 for k in rows}},
-        {"source": "S2", "listener": "R1", "parameters": rows},
-    ]
-    content = {"bands_hz": list(_peer.OCTAVES_HZ), "responses": pairs}
-    (tmp_path / "p.json").write_text(json.dumps(content))
-    found = _peer.read_predicted(tmp_path / "p.json", "S2", "R1", np.array([125.0, 8000.0]))
-    np.testing.assert_array_equal(found, [[0.3, np.nan], [0.2, 0.2], [12.0, 12.0]])
-    with pytest.raises(InputError, match="lacks a pair"):
-        _peer.read_predicted(tmp_path / "p.json", "S1", "R2", np.array([125.0]))
 
 
 def test_a_program_that_fails_says_so_and_one_that_computes_is_charged_for_it(tmp_path):

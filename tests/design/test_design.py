@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 import roomfit
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.design.campaign import design_arguments
 from roomfit.design.candidates import (
     Region,
@@ -39,7 +38,6 @@ from roomfit.design.positions import Design
 from roomfit.design.prior import Unknowns, information_from_priors
 from roomfit.files.campaign import Campaign
 from roomfit.paper.room import paper_scene
-from roomfit.room.scene import Scene
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command, write_campaign
 
@@ -147,20 +145,6 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
         choose(known, found, replace(rules, most_sources=1), 25, "mean", rng=fresh())
 
 
-def test_where_the_best_pair_leaves_no_other_a_design_is_found_without_it():
-    """The most informative of three pairs stands in the way of the two others."""
-    rng = np.random.default_rng(3)
-    known, found = unknowns(rng), pairs(rng, [0, 1, 2])
-    found = replace(
-        found, matrices=found.matrices * np.array([9.0, 1.0, 1.0])[:, None, None, None, None]
-    )
-    compatible = ~np.eye(3, dtype=np.bool_)
-    compatible[0] = compatible[:, 0] = False
-    rules = Rules(np.arange(3), compatible, np.ones(3, dtype=np.bool_))
-    assert choose(known, found, rules, 1, "mean", rng=fresh()) == (0,)
-    assert set(choose(known, found, rules, 2, "mean", rng=fresh())) == {1, 2}
-
-
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
     known = Unknowns(
         np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
@@ -226,10 +210,6 @@ draws = 2
 ENERGY = ("from_hz = 500\nto_hz = 1000", 'from_hz = 500\nto_hz = 1000\nmodel = "energy"')
 # a short decay is soon traced
 DEAD = ("scattering = 0.0", "scattering = 0.0\nprior = {mean = 0.45, sd = 0.2}")
-UNMEASURED = tuple(
-    (f'[[measurements]]\nsource = "LS1"\nreceiver = "MP{i}"\nfile = "LS1_MP{i}.wav"\n', "")
-    for i in (1, 2)
-)
 
 
 def designed(campaign: Campaign, result: AbsorptionPosterior | None = None, **options) -> Design:
@@ -273,26 +253,6 @@ def test_intervals_narrow_with_every_pair_and_more_than_by_chance(small):
     assert means[-1] < np.median(found.random_means[:, -1])
 
 
-@pytest.mark.slow
-def test_records_in_memory_are_designed_as_a_campaign_is(small):
-    """A room, two points and what was measured: the same choice, and no file."""
-    _, campaign, found = small
-    given = design_arguments(campaign, changed={"n_candidates": 12, "number": 3, "n_random": 1})
-    scene = Scene(
-        given["scene"].room, campaign.sources, campaign.receivers, [[0, 0], [0, 1]], campaign.air
-    )
-    own = roomfit.design(
-        scene, given["materials"][:1], campaign.bands, options=given["options"],
-        settings=given["settings"],
-    )  # fmt: skip
-    # the other materials have another prior in the campaign
-    assert own.n_fixed == 2 and own.widths[0].mean() > found.widths[0].mean()
-    again = roomfit.design(**{**given, "scene": scene})
-    np.testing.assert_array_equal(again.chosen, found.chosen)
-    with pytest.raises(InputError, match="unknown criterion"):
-        roomfit.DesignOptions(criterion="best")
-
-
 def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(tmp_path):
     """The prior's width of an area is that of its share of energy on half a metre, by hand."""
     path = write_campaign(tmp_path, ENERGY, DEAD)
@@ -316,30 +276,6 @@ def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(
         content["assumed"]["absorption_area_m2"]["people"], found.absorption[own]
     )
     assert "people, m2" in str(found)
-
-
-def test_a_campaign_without_measurements_can_be_designed(tmp_path):
-    """Nothing measured, sources and receivers as they are listed; a source limit is obeyed."""
-    path = write_campaign(tmp_path, ENERGY, DEAD, *UNMEASURED)
-    listed = "\nreceivers = [[2.9, 0.6, 1.2], [0.7, 2.4, 1.1], [2.2, 2.6, 1.4]]\n"
-    path.write_text(
-        path.read_text() + DESIGN.replace("new_sources = 2", "new_sources = 1") + listed
-    )
-    campaign = roomfit.read_campaign(path, to_fit=False)
-    found = designed(campaign, number=2, most_sources=1, criterion="mean", n_random=3)
-    assert found.n_fixed == 0 and not found.after_fit
-    assert [f.code for f in found.findings if f.code == Code.FEW_CANDIDATES]
-    assert np.unique(found.scene.pairs[found.chosen, 0]).size == 1
-    names = {r.name for r in found.scene.receivers}
-    assert names <= {"MP1", "MP2", "R1", "R2", "R3"}
-    # before: the prior, the mean over its two draws; no interval is wider than the whole
-    assert np.ptp(found.widths[0]) < 1e-12 and found.widths[0].max() < 1.0
-    by_rule = designed(campaign, number=1, source_distance_m=None, n_random=1)
-    assert by_rule.source_distance_m > 0.8  # ISO 3382's, from the volume and the decay
-    with pytest.raises(InputError, match="far enough apart"):
-        designed(campaign, source_distance_m=9.0)
-    with pytest.raises(InputError, match="out of range"):
-        designed(campaign, n_candidates=0)
 
 
 def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):

@@ -8,15 +8,12 @@ import pytest
 from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
-from roomfit.cli.check import check_campaign_recordings
 from roomfit.design.candidates import DesignOptions
 from roomfit.design.positions import design
 from roomfit.design.symmetry import plane_findings
-from roomfit.files.campaign import read_campaign
 from roomfit.fit.symmetry import mirror_planes
 from roomfit.room.scene import Scene, scene_of, shoebox_room
 from roomfit.settings import Settings
-from small_campaign import small_responses, write_wav
 
 SIDES = ("west", "east", "south", "north", "floor", "ceiling")
 SIZE_M = (6.4, 5.2, 2.8)
@@ -81,23 +78,3 @@ def test_a_design_at_half_height_alone_says_so_and_one_at_all_heights_does_not()
         plan = design(empty, bands=OCTAVE, options=options, settings=FEW)
         codes = [f.code for f in plan.findings]
         assert codes.count(Code.ON_SYMMETRY_PLANE) == expected
-
-
-def test_the_check_of_a_campaign_says_it_beside_what_it_says_of_recordings(tmp_path):
-    """Of recordings that were made elsewhere: positions alone are what it is about."""
-    pressure = next(iter(small_responses().values()))
-    for height, raised in ((1.4, True), (1.15, False)):
-        own = scene((height, height))
-        text = f"[room]\nshoebox = {list(SIZE_M)}\n[identify]\nfrom_hz = 500\nto_hz = 1000\n"
-        text += "[room.materials]\n" + "".join(f'{side} = "{side}"\n' for side in SIDES)
-        text += f"[receivers.M]\nposition = {own.receivers[0].position_m.tolist()}\n"
-        for s in own.sources:
-            text += f"[sources.{s.name}]\nposition = {s.position_m.tolist()}\n[[measurements]]\n"
-            text += f'source = "{s.name}"\nreceiver = "M"\nfile = "{s.name}.wav"\n'
-            write_wav(tmp_path / f"{s.name}.wav", pressure)
-        path = tmp_path / "campaign.toml"
-        path.write_text(text, encoding="utf-8")
-        checked = check_campaign_recordings(read_campaign(path))
-        found = [f for f in checked.findings if f.code is Code.ON_SYMMETRY_PLANE]
-        assert len(found) == raised
-        assert ("plane of symmetry z = 1.40 m" in str(checked)) == raised

@@ -28,10 +28,6 @@ SHOEBOX = "shoebox = [3.9, 3.1, 2.5]"
 OBJ = 'file = "room.obj"\nunit = "m"'
 FIRST_FILE = 'file = "LS1_MP1.wav"'
 SOURCE = "position = [1.0, 1.2, 1.1]"
-BOTH_FILES = (
-    '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "LS1_MP1.wav"\n'
-    '[[measurements]]\nsource = "LS1"\nreceiver = "MP2"\nfile = "LS1_MP2.wav"\n'
-)
 
 
 @pytest.fixture

@@ -58,17 +58,6 @@ def write_result(folder: Path, scattering: float | None = None) -> Path:
     return path
 
 
-def write_table(folder: Path) -> Path:
-    path = folder / "absorption.csv"
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"])
-        for name, alphas in ABSORPTION.items():
-            for f, a in zip(OCTAVES, alphas, strict=True):
-                writer.writerow([name, f, a, 0.5 * a, min(1.0, 1.5 * a), "true"])
-    return path
-
-
 def test_pyroomacoustics_takes_the_materials(tmp_path):
     pra = pytest.importorskip("pyroomacoustics")
     export_result(write_result(tmp_path, 0.25), "pyroomacoustics", tmp_path / "m.json")

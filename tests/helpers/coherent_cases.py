@@ -30,10 +30,8 @@ from roomfit.signals.filters import (
     spreading_kernel,
     statistical_bandwidth_hz,
 )
-from roomfit.solver import Ending
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandEstimate
 
 SPEED_M_S = 340.0
 END_S = 0.06
@@ -133,20 +131,3 @@ def with_data(term: CoherentTerm, data: np.ndarray) -> CoherentTerm:
         observed.append(replace(o, energy=data[first : first + n]))
         first += n
     return replace(term, energies=replace(term.energies, observations=tuple(observed)))
-
-
-def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:
-    """Return the estimate of a band with intervals of one width."""
-    a = np.array(absorption)
-    return BandEstimate(
-        a,
-        a - half_width,
-        a + half_width,
-        np.log(a / (1 - a)),
-        0.01 * np.eye(a.size),
-        1.0,
-        1.0,
-        1,
-        Ending.CONVERGED,
-        "coherent",
-    )

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import re
 
 import numpy as np
 import pytest
 import soundfile
 
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
 from roomfit.impedance.campaign import (
     identify_campaign_impedance,
-    impedance_arguments,
     impedance_to_folder,
     read_spectrum,
 )
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
-from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import r0_of_impedance
-from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
+from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
 from roomfit.signals.response import ImpulseResponse
 from simulated_rooms.impedance_box import PAIRS, RECEIVERS_M, SOURCES_M, box_scene, noisy, true_r0
 
@@ -92,18 +88,6 @@ def test_a_campaign_of_spectra_gives_walls_and_files(finished):
     assert len(rows) == 1 + 3 * len(F_HZ)
     text = str(answer)
     assert text.startswith("Identified") and "wool (spline)" in text
-
-
-def test_the_same_by_hand_in_python_is_the_same(finished):
-    """The command adds nothing to `identify_impedance` but reading and writing."""
-    folder, answer, _ = finished
-    read, _ = impedance_arguments(read_campaign(folder / "campaign.toml"))
-    other = identify_impedance(
-        box_scene(), read["observed"], None, Nuisances(speed_sd=0.0), rng=np.random.default_rng(1),
-        settings=ImpedanceSettings(random_starts=1),
-    )  # fmt: skip
-    for mine, theirs in zip(answer.materials, other.materials, strict=True):
-        np.testing.assert_array_equal(mine.r0, theirs.r0)
 
 
 def response_of(model, pair, z, rate_hz=24_000.0, shift_s=0.0):
@@ -256,51 +240,3 @@ def test_too_few_pairs_are_reported_before_any_computing(tmp_path):
     assert content["fit"]["chi2"] is None
     assert content["materials"]["wool"]["identified"] == [False]
     assert "Not identifiable" in str(answer)
-
-
-def pressures_of(folder, responses, more):
-    """Write responses as a campaign of the box and return what is to be fitted."""
-    for n, pressure in enumerate(responses):
-        soundfile.write(folder / f"pair{n}.wav", pressure, 24_000, subtype="DOUBLE")
-    text = campaign_text("file", "wav", more)
-    text = text[: [m.start() for m in re.finditer(r"\[\[measurements\]\]", text)][len(responses)]]
-    grid = "[impedance]\nfrom_hz = 200\nto_hz = 800\nstep_hz = 20\ntau_s = 0.006\n"
-    (folder / "campaign.toml").write_text(text + grid)
-    return impedance_arguments(read_campaign(folder / "campaign.toml"))
-
-
-def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_them(tmp_path):
-    """Files of two sources, in which emission lies 50 and 11 ms after the first sample.
-
-    In one of them the direct sound is blocked, so that its own onset would be that of a reflection.
-    """
-    model = wave_model(box_scene(n_pairs=5), F_HZ, TAU_S)
-    noise = 1e-5 * np.random.default_rng(4).normal(size=4800)
-    clean = [response_of(model, n, 8.0) + noise for n in range(5)]
-    direct_s = np.linalg.norm(model.paths.vector_m[model.paths.pair_first[4]]) / 343.0
-    clean[4][: round(24_000 * (direct_s + 0.0015))] *= 0.05
-    late = [np.concatenate([np.zeros((1200, 264)[n % 2]), p]) for n, p in enumerate(clean)]
-    reported, _ = pressures_of(tmp_path, clean, "")
-    nuisances = reported["nuisances"]
-    assert nuisances.gain == "spectrum" and nuisances.delay_sd_s == 0.0
-    expected = reported["observed"].pressure
-
-    by_latency, _ = pressures_of(tmp_path, [late[0]], "latency_s = 0.05\n")
-    np.testing.assert_allclose(by_latency["observed"].pressure[0], expected[0], rtol=1e-9)
-
-    unknown, _ = pressures_of(tmp_path, late, 'time_zero = "unknown"\n')
-    turned = unknown["observed"].pressure / expected
-    # one clock a source, off by 0.15 ms at most; 3 % is what the cut before the direct sound moves
-    for one, other in ((0, 2), (0, 4), (1, 3)):
-        np.testing.assert_allclose(turned[one], turned[other], atol=0.05)
-    assert np.all(np.abs(np.angle(turned)) < 2 * np.pi * F_HZ * 1.5e-4)
-
-    read, _ = pressures_of(tmp_path, late, 'time_zero = "direct"\nlevel = "per-file"\n')
-    cut = read["nuisances"]
-    assert cut.delay == "pair" and cut.delay_sd_s == 1e-4 and cut.gain == "pair-spectrum"
-
-    read, doubts = pressures_of(tmp_path, late, 'level = "absolute"\n')
-    without = read["nuisances"]
-    assert without.gain == "known" and without.delay_sd_s == 2e-5
-    assert [f.code for f in doubts] == [Code.TIME_ZERO_MISMATCH] * 5
-    assert all("later than the geometry says" in f.sentence for f in doubts)

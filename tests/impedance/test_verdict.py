@@ -85,33 +85,6 @@ def test_the_interval_of_absorption_holds_it_even_where_a_wall_is_nearly_matched
     assert 0.93 <= np.mean((low <= true) & (true <= high)) <= 0.985
 
 
-def coloured_data(rng):
-    """Data of the box whose two sources each have a spectrum of their own."""
-    scene, p, r0 = box_data()
-    size, phase = rng.normal(size=(2, 2, len(F_HZ)))
-    clear = noisy(F_HZ, TAU_S, p, 40.0, rng)
-    spectrum = np.exp(0.5 * size + 1j * phase)[scene.pairs[:, 0]]
-    data = Observed(F_HZ, TAU_S, clear.pressure * spectrum, clear.noise * np.abs(spectrum))
-    return scene, data, r0
-
-
-def test_files_that_were_each_made_equally_loud_tell_walls_with_spectra_unknown_as_well():
-    """Each file by a gain of its own, on top of the spectra of two sources."""
-    rng = np.random.default_rng(7)
-    scene, data, r0 = coloured_data(rng)
-    loudest = np.abs(data.pressure).max(axis=1)[:, None]
-    data = Observed(F_HZ, TAU_S, data.pressure / loudest, data.noise / loudest)
-    answer = identify_impedance(
-        scene, data, None, Nuisances(0.0, 0.0, "pair-spectrum"),
-        rng=rng, settings=ROUGH,
-    )  # fmt: skip
-    assert answer.verdict.word == "identified"
-    assert rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, F_HZ).max() <= 0.04
-    # the error is not taken to be less than the median of its prior
-    assert answer.model_error >= 0.01
-    assert sum(n.name.startswith("gain") for n in answer.nuisances) == 6
-
-
 def test_a_room_that_is_not_convex_gives_back_its_walls():
     """Data of paths up to 1.4 times the length that the fit takes, from positions 10 mm off."""
     rng = np.random.default_rng(8)
@@ -176,29 +149,3 @@ def test_small_errors_of_r0_reach_as_far_as_the_derivatives_say(r0):
             assert above == pytest.approx(reach, rel=0.03, abs=1e-9), (name, part)
             assert below == pytest.approx(reach + extra, rel=0.03, abs=1e-9), (name, part)
     assert found.identified[0] and found.impedance_shown[0]
-
-
-def test_a_wall_is_identified_to_a_fifth_of_r0_and_its_impedance_shown_to_a_fifth_of_itself():
-    """Of the wider of both parts; else it is no number. Walls stay passive."""
-    r0 = np.array([0.5 + 0.0j])
-    for share, is_identified in ((0.999, True), (1.001, False)):
-        for part in (0, 1):
-            variance = np.full(2, 1e-10)
-            variance[part] = (share * 0.1 / 1.959964) ** 2
-            found = material_impedance("wall", "spline", r0, np.diag(variance)[None])
-            assert bool(found.identified[0]) is is_identified
-    # z = 3, and dz = 2 / 0.25 dR0 = 8 dR0: a half width of 0.3 is one of 0.0375
-    for share, is_shown in ((0.999, True), (1.001, False)):
-        variance = np.array([(share * 0.0375 / 1.959964) ** 2, 1e-10])
-        found = material_impedance("wall", "spline", r0, np.diag(variance)[None])
-        assert bool(found.impedance_shown[0]) is is_shown
-        assert bool(np.isfinite(found.impedance[0])) is is_shown
-        assert bool(np.isfinite(found.impedance_upper95[0])) is is_shown
-    wide = material_impedance("wall", "spline", np.array([0.9 - 0.9j]), np.eye(2)[None])
-    assert wide.r0_upper95[0] == 1.0 + 1.0j and wide.r0_lower95[0].imag == -1.0
-    assert wide.absorption_normal_lower95[0] == 0.0 and wide.absorption_random_upper95[0] == 1.0
-    for name in ("r0", "absorption_normal", "impedance", "identified"):
-        assert not getattr(wide, name).flags.writeable
-    for edge in (1.0, -1.0):
-        rigid = material_impedance("wall", "spline", np.array([edge + 0j]), 1e-6 * np.eye(2)[None])
-        assert np.isfinite(rigid.admittance[0]) and not np.isnan(rigid.absorption_random[0])

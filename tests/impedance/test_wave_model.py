@@ -127,28 +127,12 @@ def test_image_sources_with_spherical_reflection_come_near_the_field_of_our_own_
     check_image_sources(own_field(np.arange(100.0, 1001.0, 30.0)), WALLS)
 
 
-# The field of the first pair by another program, at 100, 250, 500 and 1000 Hz.
-SPOTS = (
-    0.0115314 + 0.0077796j,
-    -0.0088679 - 0.0411527j,
-    0.0001364 + 0.0083390j,
-    0.0218192 - 0.0151983j,
-)
-
-
 def test_the_exact_solver_gives_the_fields_of_another_one(real_data):
     observed = exact(real_data)
     chosen = [0, 15, 40, 90]
     found = own_field(observed.frequency_hz[chosen], observed.tau_s).pressure
     rms = np.sqrt(np.mean(np.abs(observed.pressure) ** 2))
     assert np.abs(found - observed.pressure[:, chosen]).max() <= 1e-4 * rms
-
-
-def test_the_exact_solver_gives_four_values_of_another_one():
-    """Without its files; a wall taken for another moves each by more than a hundredth."""
-    found = own_field(np.array([100.0, 250.0, 500.0, 1000.0])).pressure
-    rms = np.sqrt(np.mean(np.abs(found) ** 2))
-    assert np.abs(found[0] - SPOTS).max() <= 1e-4 * rms
 
 
 def hexahedron_scene(move=None):
@@ -339,19 +323,3 @@ def test_walls_of_every_law_are_causal_curves_or_nearly_so():
         r0 = r0_of_impedance(z)
         found = curve.r0(nearest(curve, r0, 1e-5))
         assert np.sqrt(np.mean(np.abs(found - r0) ** 2)) < most
-
-
-def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
-    """|R0| = .97 turned ahead as if it stood 10 mm nearer, and turned back.
-
-    The second is a wall set back, or one that yields; the first is what points moved away from a
-    wall look like, and no course of a density comes near it.
-    """
-    curve, k = strictly_causal(), 2.0 * np.pi * damped().real / 343.0
-    off = []
-    for moved_m in (0.01, -0.01):
-        r0 = 0.97 * np.exp(2j * k * moved_m)
-        found = curve.r0(nearest(curve, r0, 1e-5))
-        off.append(np.sqrt(np.mean(np.abs(found - r0) ** 2)))
-    assert off[0] > 0.08
-    assert off[1] < 0.02

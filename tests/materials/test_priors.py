@@ -16,7 +16,6 @@ from roomfit.materials.priors import (
     MaterialPrior,
     are_specified,
     complete_priors,
-    logit_normal,
     logit_prior,
     plain_logit_law,
     prior_logit_law,
@@ -176,12 +175,3 @@ def test_priors_of_a_room_are_completed_in_the_order_of_its_materials():
     ):
         with pytest.raises(InputError, match=words):
             complete_priors(("a", "b", "c"), priors, two)
-
-
-def test_draws_about_a_mean_are_expit_of_the_first_order_law_and_the_mean_without_spread():
-    mean, sd, z = np.array([0.2, 0.5, 1.0, 0.0]), np.array([0.1, 0.0, 0.0, 1e-5]), np.array([-1, 2])
-    found = logit_normal(mean, sd, z)
-    wanted = expit(logit(np.array(0.2)) + 0.1 / 0.16 * z)
-    np.testing.assert_allclose(found[:, 0], wanted)
-    np.testing.assert_array_equal(found[:, 1:3], [[0.5, 1.0]] * 2)
-    np.testing.assert_allclose(found[:, 3], expit(logit(np.array(1e-4)) + 1e-5 / 9.999e-5 * z))

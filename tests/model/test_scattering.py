@@ -79,13 +79,6 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
         assert abs(slope[0, late].sum()) < 0.5 * energy[0, late].sum()
 
 
-def _columns(rows: EnergyRows, weight: FloatArray) -> tuple[object, ...]:
-    return (
-        *(rows.materials, rows.n_windows, rows.offsets, weight),
-        *(rows.hits, rows.length_m, rows.batch, rows.n_batches),
-    )
-
-
 TWO = np.array([[0.0, 0.1, 0.2, 0.3, 0.6, 1.0], [0.5, 0.1, 0.6, 0.3, 0.2, 1.0]])
 
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.model.weighing import energy_rows
 from roomfit.paper.repeat import (
     GRID,
     case_responses,
@@ -18,22 +17,17 @@ from roomfit.paper.repeat import (
 )
 from roomfit.paper.room import (
     CASES,
-    DIVISIONS,
-    ENERGY_UNIT_PER_M2,
     PRINTED_ARRIVALS_MS,
     SPECIFICATIONS,
     TABLE2,
     TRUE_ABSORPTION,
     SquaresProblem,
     arrivals_ms,
-    division_rows,
     error,
     paper_problem,
     paper_scene,
     residuals,
     trace_paper_room,
-    whole_windows_s,
-    window_energies,
 )
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import material_areas_m2
@@ -129,27 +123,6 @@ def test_the_derivative_of_the_residuals_is_their_slope(
         )
 
 
-def test_merging_equal_rows_and_grouping_walls_change_no_energy(paths: dict[str, Paths]) -> None:
-    """Seven planes with the absorption of their groups against the groups themselves."""
-    rows = energy_rows(paths["paper"], 2, whole_windows_s(22, 5), 341.0)
-    for division in DIVISIONS.values():
-        truth = np.array(division.true_absorption)
-        grouped = division_rows(paths["paper"], 2, whole_windows_s(22, 5), division)
-        expected = ENERGY_UNIT_PER_M2 * window_energies(rows, truth[list(division.group)])
-        np.testing.assert_allclose(window_energies(grouped, truth), expected, rtol=1e-12)
-        merged = SquaresProblem(grouped, expected)
-        assert len(merged.rows) < len(rows)
-        np.testing.assert_allclose(window_energies(merged.rows, truth), expected, rtol=1e-12)
-
-
-def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:
-    """The "very disproportionate" room, positions stretched with it."""
-    scene = paper_scene("disproportionate")
-    extent = np.ptp(scene.room.mesh.vertices_m, axis=0)
-    assert extent[0] / extent[1] == pytest.approx(17.5, abs=0.1)
-    assert scene.sources[0].position_m[0] == pytest.approx(3.0 * 9.82)
-
-
 def test_a_window_of_a_response_holds_the_bins_of_a_millisecond_in_it(paths) -> None:
     """Figures 2 and 3 of the paper by each other; before the direct sound there is nothing."""
     responses = case_responses(paths["paper"])
@@ -161,9 +134,3 @@ def test_a_window_of_a_response_holds_the_bins_of_a_millisecond_in_it(paths) -> 
         assert edges_ms[0] == r.first_reflection_ms and set(np.diff(edges_ms)) == {5}
         sums = np.add.reduceat(r.fine, edges_ms[:-1])[:-1]
         np.testing.assert_allclose(r.windows[:-1], sums, rtol=1e-9)
-
-
-def test_windows_of_a_problem_begin_where_its_specification_says(problems):
-    """5 ms from the first reflection, at 15 ms; 50 ms from the direct sound, at 11."""
-    for name, n in (("case1", 37), ("ill_defined", 3)):
-        assert problems[name].rows.n_windows == n, name

@@ -4,14 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
-from roomfit.base.errors import InputError
-from roomfit.files.inputs import check_room
-from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
-from roomfit.report.check import room_blocks
-from roomfit.report.text import text as shown
 from small_campaign import run_command
 
 BOX = """usemtl plaster
@@ -59,23 +51,3 @@ def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path, monkeypatch,
     for what in ("faces without area", "surfaces without a material", "the mesh leaks"):
         assert what in listed
     assert "(1.667, 0.000, 3.000) m" in listed
-
-
-def test_a_room_with_a_leak_is_refused_with_the_other_faults_counted(tmp_path):
-    """What identify sees: the first fault as an error."""
-    text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n")
-
-    with pytest.raises(InputError, match=r"faces without area(.*\n)*.*1 more faults \(leak\)"):
-        read_room(RoomSpec(file=box_file(tmp_path, text), unit="m"))
-
-
-def test_approximate_volumes_and_sheets_are_said_to_be(tmp_path):
-    """A pinhole in the ceiling leaves a warning."""
-    hole = "v 2 2 3\nv 2.05 2 3\nv 2.05 2.05 3\nv 2 2.05 3\n"
-    ring = "f 5 6 10 9\nf 6 8 11 10\nf 8 7 12 11\nf 7 5 9 12\n"
-    text = BOX.replace("f 1 5 7 3", hole + "f 1 5 7 3").replace("f 5 6 8 7\n", ring)
-    check = check_room(RoomSpec(file=box_file(tmp_path, text), unit="m"))
-
-    assert check.traceable
-    assert not check.closed
-    assert "(approximate: the mesh is not closed)" in shown(room_blocks("box", check))

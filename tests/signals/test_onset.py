@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from scipy.signal import chirp, fftconvolve
 
 from roomfit.base.errors import InputError
 from roomfit.signals.decay import check_is_response
-from roomfit.signals.measurement import Measurement
 from roomfit.signals.response import (
     ImpulseResponse,
     compare_onset,
@@ -94,13 +92,6 @@ def test_the_onset_moves_with_the_sound_and_not_with_the_noise():
         )
 
 
-def test_loudness_offset_and_sign_do_not_move_the_onset():
-    response = room(0.02)
-    onset_s = find_onset(response)
-    for pressure in (1e-6 * response.pressure, -3.0 * response.pressure, response.pressure + 0.3):
-        assert find_onset(ImpulseResponse(pressure, RATE_HZ)) == pytest.approx(onset_s, abs=1e-6)
-
-
 def test_time_zero_is_set_so_that_the_direct_sound_arrives_on_time():
     moved = time_zero_from_direct(room(0.05), travel_s=0.0123)
     assert find_onset(moved) == pytest.approx(0.0123, abs=1e-12)
@@ -163,17 +154,3 @@ def test_a_copy_is_found_scaled_shifted_and_cut_and_a_repetition_is_none():
     assert same_recordings([other, first, *copies]) == ((1, 2), (1, 3), (1, 4))
     coarse = np.round(first * 2.0**15) / 2.0**15
     assert same_recordings([first, coarse]) == ((0, 1),)
-
-
-SAMPLES = np.array([0.0, 1.0, 0.5, 0.25])
-
-
-def test_samples_of_a_signal_are_those_of_an_array() -> None:
-    """A ``pyfar.Signal`` brings its own sampling rate."""
-    pyfar: Any = pytest.importorskip("pyfar")
-    signal = Measurement("S", "R", pyfar.Signal(SAMPLES, 44_100))
-    array = Measurement("S", "R", SAMPLES, 44_100)
-    np.testing.assert_array_equal(signal.response.pressure, array.response.pressure)
-    assert signal.response.sampling_rate_hz == array.response.sampling_rate_hz == 44_100.0
-    with pytest.raises(InputError, match="another sampling rate"):
-        Measurement("S", "R", pyfar.Signal(SAMPLES, 44_100), 48_000)

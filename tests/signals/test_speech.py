@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.base.bands import Bands
-from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_curve
-from roomfit.signals.response import ImpulseResponse, find_onset
+from roomfit.signals.decay import echogram_decay_curve
 from roomfit.signals.speech import (
     MODULATIONS_HZ,
     SPEECH_BANDS_HZ,
@@ -17,7 +16,6 @@ from roomfit.signals.speech import (
     modulation_transfer,
     speech_transmission,
     sti_gradients,
-    sti_of_decay,
     transfer_of_bins,
 )
 
@@ -169,35 +167,3 @@ def test_the_index_is_that_of_the_standard_written_out_band_by_band(of_all_db):
     wanted -= sum(b * (x * y) ** 0.5 for b, x, y in zip(BETA, mti, mti[1:], strict=False))
     found = float(speech_transmission(m, np.stack([speech, noise])))
     assert found == pytest.approx(wanted, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_pyrato_finds_nearly_the_same_of_measured_responses(real_data):
-    """R3VIVAL's first ring in two states, noise in pyrato's: within a third of a jnd."""
-    pyrato, pyfar = pytest.importorskip("pyrato.parameters"), pytest.importorskip("pyfar")
-    soundfile = pytest.importorskip("soundfile")
-    for name in ("000_S000_200", "000_S120_200", "100_S000_200", "100_S240_200"):
-        samples, rate_hz = soundfile.read(real_data / "r3vival" / f"{name}.wav")
-        response = ImpulseResponse(samples[:, 0], rate_hz)
-        curve = decay_curve(OCTAVES, response, find_onset(response))
-        found = float(speech_transmission(modulation_transfer(curve)))
-        # pyrato asks for 1.6 s
-        padded = pyfar.Signal(np.pad(samples[:, 0], (0, rate_hz)), rate_hz)
-        theirs = pyrato.speech_transmission_index_indirect(padded)
-        assert found == pytest.approx(float(theirs[0]), abs=0.01), name
-
-
-@pytest.mark.parametrize("decay_s", [0.4, 0.8, 2.0])
-def test_curves_for_looking_at_give_the_index_of_the_response(decay_s):
-    """Noise that decays, 2 ms from point to point: within .005, a sixth of what is noticed."""
-    rng, rate_hz = np.random.default_rng(3), 48_000
-    time_s = np.arange(int(1.2 * decay_s * rate_hz)) / rate_hz
-    noise = rng.standard_normal(len(time_s))
-    pressure = noise * 10.0 ** (-3.0 * time_s / decay_s) + 1e-3 * rng.standard_normal(len(time_s))
-    pressure = np.concatenate([np.zeros(480), [20.0], pressure])
-    curve = decay_curve(OCTAVES, ImpulseResponse(pressure, rate_hz, 0.0), 0.01)
-    points_s = np.arange(0.0, curve.usable_end_s.max(), 2e-3)
-    levels = [np.interp(points_s, curve.time_s, row) for row in decay_curve_db(curve)]
-    ends = curve.usable_end_s[:, None]
-    found = sti_of_decay(OCTAVES, points_s, np.where(points_s <= ends, levels, np.nan))
-    assert found == pytest.approx(speech_transmission(modulation_transfer(curve)), abs=0.005)

@@ -62,13 +62,3 @@ def test_a_band_with_a_wrong_derivative_is_not_called_converged() -> None:
             assert fit.converged is converged
             if not converged:
                 assert fit.ending is Ending.OUT_OF_DAMPING
-
-
-class Counting(Linear):
-    """A linear problem that counts its own predictions."""
-
-    made = 0
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        Counting.made += 1
-        return super().predict(vector)

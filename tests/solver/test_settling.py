@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from posterior_cases import Linear, Posynomial, absorption_block, gain_block
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import Parameters, prior_residuals, start_vector
-from roomfit.model.problem import Prediction
 from roomfit.solver import BandFit, Ending, fit_band, score_band
 
 
@@ -105,21 +104,6 @@ def test_where_whole_rounds_swing_for_ever_single_steps_settle(
     assert fit.converged
     assert abs(fit.vector[0]) < 0.02 * sd_of(fit)[0]
     assert fit.evaluations <= 10
-
-
-class Counting(Doubted):
-    """Counts what is asked of it."""
-
-    predictions = variances = 0
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        Counting.predictions += 1
-        return super().predict(vector)
-
-    def variance(self, vector: FloatArray) -> FloatArray:
-        Counting.variances += 1
-        expected = Posynomial.predict(self, vector).expected
-        return np.asarray(expected**self.power / self.shape)
 
 
 def test_too_few_rounds_say_so_and_tell_where_the_last_step_began() -> None:

@@ -7,11 +7,9 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from _ac3d import as_obj
 from images_reference import (
-    BOX_M,
     BOX_MATERIALS,
     all_images,
     box_room,
@@ -107,9 +105,6 @@ def test_no_path_of_order_3_is_missed_or_counted_twice(name: str) -> None:
     expected = all_images(room, np.array(source), np.array(receiver), 3)
     found = images(room, source, receiver, 3)
     assert found.hits.tolist() == [hits_of(room, triangles) for triangles in expected]
-
-
-POSITION = st.tuples(*(st.integers(1, 9).map(lambda i, n=n: i * n / 10.0) for n in BOX_M))
 
 
 def test_a_box_has_as_many_images_as_an_octahedron_has_points() -> None:
@@ -236,11 +231,6 @@ def test_what_cannot_be_traced_is_refused() -> None:
         trace_images(scene_of(box_room(), [[1, 1, 1]], [[1, 1, 1]]), 1, 0.1, still)
     with pytest.raises(InputError, match="different materials"):
         trace_images(scene, 1, 0.1, uniform_scattering(("a",), 0.0))
-
-
-def _by_place(found: ImageSet) -> FloatArray:
-    """Return a row for each image, its place from the receiver and its hits, in a fixed order."""
-    return _by_direction(-found.arrival * found.length_m[:, None], found)
 
 
 def _by_direction(vectors: FloatArray, found: ImageSet) -> FloatArray:

@@ -175,9 +175,9 @@ def _remedy(
             checked = check_campaign_recordings(campaign, between_hz=between_hz)
         advised_ = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
     remedy = chosen(advised_, wanted)
-    seen = edits.preview(file, remedy.edits)
-    edits.apply(file, seen)
+    change = edits.preview(file, remedy.edits)
+    edits.apply(file, change)
     say(f"{remedy.words}, in {file}")
-    for table, now, then in seen.lines:
+    for table, now, then in change.lines:
         say(f"  {table}\n    was  {now}\n    is   {then}")
     say(f"\nto take it back: roomfit check {shlex.quote(str(file))} --undo")
