@@ -28,10 +28,14 @@ from roomfit.predict.output import write_predicted
 from roomfit.predict.predict import predict
 from roomfit.predict.prediction import Predicted
 from roomfit.report.blocks import Blocks
-from roomfit.report.diffuse import describe as describe_diffuse
-from roomfit.report.diffuse import diffuse_records
 from roomfit.report.html import page
-from roomfit.report.predicted import describe, grid_drawings, pair_drawings
+from roomfit.report.predicted import (
+    describe,
+    diffuse_blocks,
+    diffuse_records,
+    grid_drawings,
+    pair_drawings,
+)
 
 
 @sole_writer
@@ -82,7 +86,7 @@ def predict_to_folder(
 
 def reverberation(campaign_file: Path, out: Path | None, *, overwrite: bool) -> Blocks:
     """Return the mean absorption in words."""
-    return describe_diffuse(reverberation_to_folder(campaign_file, out, overwrite=overwrite))
+    return diffuse_blocks(reverberation_to_folder(campaign_file, out, overwrite=overwrite))
 
 
 @reading_noted()
@@ -111,5 +115,5 @@ def reverberation_to_folder(
             content = diffuse_result_content(field, found, campaign.settings.seed, files_read())
             write_json_atomically(folder / "result.json", content)
             write_text_atomically(folder / "reverberation.csv", csv_of(diffuse_records(found)))
-            write_text_atomically(folder / "reverberation.html", page(describe_diffuse(found)))
+            write_text_atomically(folder / "reverberation.html", page(diffuse_blocks(found)))
     return found

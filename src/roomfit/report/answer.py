@@ -147,11 +147,7 @@ def result_blocks(
 
     folded("How sure", "certainty", "priors, the fit, the uncertainty budget", _certainty(answer))
     if scene is not None:
-        areas: list[Block] = [
-            Sentence(_AREAS),
-            *tables.area_tables(answer, scene),
-            *tables.share_tables(answer),
-        ]
+        areas: list[Block] = [Sentence(_AREAS), *tables.area_tables(answer, scene)]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
         folded("Absorption areas", "areas", words, areas)
     few = len(answer.pairs) <= _MOST_DECAY_FILES

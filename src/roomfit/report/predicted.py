@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import Code
-from roomfit.base.table import Cell, Table
+from roomfit.base.table import Cell, Column, Table
 from roomfit.base.typing import FloatArray
 from roomfit.files.encoding import finding_of
+from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
 from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
 from roomfit.report.blocks import (
     Block,
@@ -23,11 +23,15 @@ from roomfit.report.blocks import (
     Part,
     Sentence,
 )
+from roomfit.report.tables import bounded_cells
 from roomfit.report.wording import (
+    DASH,
     MID_HZ,
+    PARAMETERS,
     Series,
     band_tables,
     decay_time_key,
+    hertz,
     in_file_name,
     mid_mean,
     mid_words,
@@ -45,68 +49,24 @@ if TYPE_CHECKING:
     from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
 
-SHOWN: tuple[tuple[str, str, str], ...] = (
-    ("T20_s", "T20 s", "{:.2f}"),
-    ("T30_s", "T30 s", "{:.2f}"),
-    ("EDT_s", "EDT s", "{:.2f}"),
-    ("C50_dB", "C50 dB", "{:.1f}"),
-    ("C80_dB", "C80 dB", "{:.1f}"),
-    ("D50_percent", "D50 %", "{:.0f}"),
-    ("TS_ms", "TS ms", "{:.0f}"),
-    ("G_dB", "G dB", "{:.1f}"),
-    ("STI", "STI", "{:.2f}"),
-)
+SHOWN = tuple((name, f"{p.symbol} {p.unit}".rstrip(), p.decimals) for name, p in PARAMETERS.items())
+"""Parameters in the order of tables, each with its label and its decimals."""
 
 
 # ---------------------------------------------------------------- the decay time
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecayAnswer:
+class DecayAnswer(NamedTuple):
     """The decay time of a prediction, before and after a change or beside what was measured."""
 
-    bands: Bands
     symbol: str  # T30, or what is known in its place
-    before: Series | None  # as it is: measured, or by the model; None where neither is known
-    after: Series  # predicted; of a change what was measured before, carried over
-    is_changed: bool
-    # why a change is not determined, as "prior alone"; "" where it is
-    open_because: str = ""
-    is_determined: bool = True  # whether it rises or falls, at 95 %
-
-    @property
-    def sentence(self) -> str:
-        """The answer in a sentence, of the mean at mid frequencies."""
-        centres = self.bands.centres_hz
-        mid_s = self.after.mid_s(centres)
-        after, what = with_interval(*mid_s), f"{self.symbol} at {mid_words(centres)}"
-        if self.before is None:
-            return f"{what} is predicted as {after}."
-        value, low, high = self.before.mid_s(centres)
-        now, label = f"{number(value, 2)} s", self.before.label.removesuffix(" before")
-        if not self.is_changed:
-            return f"{what} is predicted as {after}; {label} {now}."
-        if np.isfinite([low, high]).all():
-            label += f", {number(low, 2)} to {number(high, 2)}"
-        if self.open_because:
-            return (
-                f"{what} is {now} ({label}); what the change does to it is not determined "
-                f"({self.open_because})."
-            )
-        if abs(mid_s[0] - value) < 0.005:
-            return f"{what} stays at {now} ({label}): {after} after the change."
-        way = "falls" if mid_s[0] < value else "rises"
-        if self.is_determined:
-            return f"{what} {way} from {now} ({label}) to {after}."
-        return (
-            f"{what} is {now} ({label}), and {after} is expected after the change; whether it "
-            f"{way} is not determined."
-        )
+    sentence: str  # of the mean at mid frequencies
+    centres_hz: FloatArray
+    series: tuple[Series, ...]
 
     def drawing(self, limits: Sequence[tuple[Sequence[float], float, float]] = ()) -> Drawing:
         """Return the decay time over frequency, with limits where there are some."""
-        series = [s for s in (self.before, self.after) if s is not None]
-        of = self.bands.centres_hz, series, self.symbol, limits
+        of = self.centres_hz, self.series, self.symbol, limits
         caption = (
             "Means over the positions; bars are 95 % intervals. A listener does not notice what "
             "stays within the pale box of a band."
@@ -134,40 +94,60 @@ def decay_answer(
     name = "T30_s" if "T30_s" in known else decay_time_key(known)
     if name is None:
         return None
-    v, symbol = means[name], parameter(name).symbol
-    measured, is_measured = v.measured, np.isfinite(v.measured)
+    v, symbol, centres_hz = means[name], parameter(name).symbol, bands.centres_hz
+    what, is_measured = f"{symbol} at {mid_words(centres_hz)}", np.isfinite(v.measured)
     if not is_changed or v.change is None:
-        own = Series("measured", measured) if is_measured.any() and not is_changed else None
         label = after if is_changed else "predicted"
         later = Series(label, v.predicted, v.lower95, v.upper95)
-        return DecayAnswer(bands, symbol, own, later, is_changed)
+        text = f"{what} is predicted as {with_interval(*later.mid_s(centres_hz))}"
+        if is_changed or not is_measured.any():
+            return DecayAnswer(symbol, f"{text}.", centres_hz, (later,))
+        earlier = Series("measured", v.measured)
+        text += f"; measured {number(earlier.mid_s(centres_hz)[0], 2)} s."
+        return DecayAnswer(symbol, text, centres_hz, (earlier, later))
     c = v.change
     is_carried = np.isfinite(c.carried)
-    after_s = (
-        np.where(is_carried, own, model)
-        for own, model in (
-            (c.carried, v.predicted),
-            (c.carried_lower95, v.lower95),
-            (c.carried_upper95, v.upper95),
-        )
-    )
+    predicted = (v.predicted, v.lower95, v.upper95)
+    carried = (c.carried, c.carried_lower95, c.carried_upper95)
+    each = zip(carried, predicted, strict=True)
+    later = Series(after, *(np.where(is_carried, own, model) for own, model in each))
     # where a measured mean has an interval of its own, it stands in place of a model's
-    is_alone = is_measured & (c.before != measured)
+    is_alone = is_measured & (c.before != v.measured)
     first = "measured before" if is_measured.all() else "predicted before"
     if is_measured.any() and not is_measured.all():
         first = "before, measured where it was"
     bounds = (np.where(is_alone, np.nan, x) for x in (c.before_lower95, c.before_upper95))
-    earlier = Series(before or first, np.where(is_measured, measured, c.before), *bounds)
+    earlier = Series(before or first, np.where(is_measured, v.measured, c.before), *bounds)
     # of a band that the mid frequencies are made of
-    mid = np.isin(bands.centres_hz, MID_HZ)
+    mid = np.isin(centres_hz, MID_HZ)
     unknown = is_undetermined(name, c) & (mid if mid.any() else True)
-    each = zip(open_for, unknown, strict=False)
-    why = next((why for why, is_open in each if why and is_open), "")
-    factor = Series("", c.change, c.change_lower95, c.change_upper95)
-    _, least, most = factor.mid_s(bands.centres_hz)
+    why = next((w for w, is_open in zip(open_for, unknown, strict=False) if w and is_open), "")
+    factor = Series("", c.change, c.change_lower95, c.change_upper95).mid_s(centres_hz)
+    text = f"{what} {_change_words(earlier, later, factor, why, centres_hz)}."
+    return DecayAnswer(symbol, text, centres_hz, (earlier, later))
+
+
+def _change_words(
+    earlier: Series, later: Series, factor: Sequence[float], why: str, centres_hz: FloatArray
+) -> str:
+    """Return what a decay time does at mid frequencies, or `why` that is not determined."""
+    (value, low, high), then = earlier.mid_s(centres_hz), later.mid_s(centres_hz)
+    now, after = f"{number(value, 2)} s", with_interval(*then)
+    label = earlier.label.removesuffix(" before")
+    if np.isfinite([low, high]).all():
+        label += f", {number(low, 2)} to {number(high, 2)}"
+    if why:
+        return f"is {now} ({label}); what the change does to it is not determined ({why})"
+    if abs(then[0] - value) < 0.005:
+        return f"stays at {now} ({label}): {after} after the change"
+    way = "falls" if then[0] < value else "rises"
     # without an interval, the likeliest is all that is known
-    sure = not least <= 1.0 <= most
-    return DecayAnswer(bands, symbol, earlier, Series(after, *after_s), is_changed, why, sure)
+    if not factor[1] <= 1.0 <= factor[2]:
+        return f"{way} from {now} ({label}) to {after}"
+    return (
+        f"is {now} ({label}), and {after} is expected after the change; whether it {way} is not "
+        "determined"
+    )
 
 
 # ---------------------------------------------------------------- the blocks
@@ -264,16 +244,16 @@ def _numbers(predicted: Predicted) -> Iterator[tuple[str, str]]:
     """Yield what is predicted at mid frequencies beside the decay time."""
     named = named_values(predicted.mean, predicted.sti)
     centres = predicted.bands.centres_hz
-    for key, label, form in SHOWN:
+    for key, label, decimals in SHOWN:
         v = named.get(key)
         if key not in ("C50_dB", "STI", "G_dB") or v is None:
             continue
         rows = (v.predicted, v.lower95, v.upper95)
-        value, low, high = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
-        if np.isfinite(value):
+        values = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
+        value, low, high = (number(x, decimals) for x in values)
+        if value != DASH:
             where = "" if key == "STI" else f" at {mid_words(centres)}"
-            words = f"{label}{where}, predicted; {form.format(low)} to {form.format(high)} at 95 %"
-            yield form.format(value), words
+            yield value, f"{label}{where}, predicted; {low} to {high} at 95 %"
 
 
 def parameter_rows(
@@ -291,29 +271,31 @@ def parameter_rows(
     `title` stands in place of the names.
     """
     rows = []
-    for name, label, form in SHOWN:
+    for name, label, decimals in SHOWN:
         if name not in table:
             continue
         v, c = table[name], table[name].change
+        has_measured = np.isfinite(v.measured).any()
         lines: dict[str, list[Cell]] = {}
-        predicted = _with_bounds(form, v.predicted, v.lower95, v.upper95)
+        predicted = _with_bounds(decimals, v.predicted, v.lower95, v.upper95)
         if not is_changed:
             lines["predicted"] = predicted
-        if np.isfinite(v.measured).any():
+        if has_measured:
             steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
             lines["measured" if c is None else "measured before"] = [
-                Cell(form.format(m), tuple(filter(None, [x]))) if np.isfinite(m) else Cell("-")
-                for m, x in zip(v.measured, steps, strict=True)
+                Cell(number(m, decimals), tuple(filter(None, [step])))
+                for m, step in zip(v.measured, steps, strict=True)
             ]
         if is_changed and c is not None:
-            lines["model before"] = _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
+            before = (c.before, c.before_lower95, c.before_upper95)
+            lines["model before"] = _with_bounds(decimals, *before)
         if is_changed:
             lines["model after"] = predicted
         if is_changed and c is not None:
-            if np.isfinite(v.measured).any():
+            if has_measured:
                 carried = (c.carried, c.carried_lower95, c.carried_upper95)
-                lines["carried over"] = _with_bounds(form, *carried)
-            lines |= dict([_change_cells(name, c, form, open_for)])
+                lines["carried over"] = _with_bounds(decimals, *carried)
+            lines |= dict([_change_cells(name, c, decimals, open_for)])
         heads = [title or label] + [""] * len(lines)
         rows += [
             (Cell(head, (what,)), *cells)
@@ -323,31 +305,27 @@ def parameter_rows(
 
 
 def _change_cells(
-    name: str, c: ValueChange, form: str, open_for: Sequence[str]
+    name: str, c: ValueChange, decimals: int, open_for: Sequence[str]
 ) -> tuple[str, list[Cell]]:
     """Return the name of a change with its unit, and its cells."""
-    rows = (c.change, c.change_lower95, c.change_upper95)
+    rows = np.array([c.change, c.change_lower95, c.change_upper95])
+    label = f"change {parameter(name).unit.replace('%', 'points')}".rstrip()
     if name in FIT_RANGES_DB:
-        label, cells = "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
-    else:
-        unit = {n: label for n, label, _ in SHOWN}[name].partition(" ")[2].replace("%", "points")
-        label, cells = f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
-    unknown = is_undetermined(name, c)
+        label, decimals, rows = "change %", 0, 100.0 * (rows - 1.0)
+    cells, unknown = _with_bounds(decimals, *rows, signed=True), is_undetermined(name, c)
     for band, why in enumerate(open_for[: unknown.size]):
         if why and unknown[band]:
             cells[band] = Cell("not determined", (why,))
     return label, cells
 
 
-def _with_bounds(
-    form: str, values: FloatArray, lower95: FloatArray, upper95: FloatArray
-) -> list[Cell]:
-    return [
-        Cell(form.format(v), (f"{form.format(low)} to {form.format(high)}",))
-        if np.isfinite(v)
-        else Cell("-")
-        for v, low, high in zip(values, lower95, upper95, strict=True)
-    ]
+def _with_bounds(decimals: int, *rows: FloatArray, signed: bool = False) -> list[Cell]:
+    """Return cells of values, lower and upper bounds."""
+    cells = []
+    for each in zip(*rows, strict=True):
+        value, low, high = (number(x, decimals, signed=signed) for x in each)
+        cells.append(Cell(value, () if value == DASH else (f"{low} to {high}",)))
+    return cells
 
 
 def listen_blocks(content: Mapping[str, Any]) -> Blocks:
@@ -361,3 +339,56 @@ def listen_blocks(content: Mapping[str, Any]) -> Blocks:
     shown = Table(caption, ("Hz", *bands), rows, (note,), ".2f")
     findings = tuple(finding_of(one, "findings") for one in content["findings"])
     return Blocks("Listen", (shown,), (Findings(findings),), "listen.json")
+
+
+# ---------------------------------------------------------------- decay times alone
+
+
+_DIFFUSE = (
+    "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
+    "differ by what that means, and intervals allow for it where priors tell walls apart; "
+    "elsewhere walls are taken to be alike. What stands for single materials is their priors, "
+    "moved together until they give this mean: nothing more is known of any of them. Where "
+    "walls are much alike Eyring was nearest in trials, in flat rooms with one soft surface "
+    "Fitzroy. Impulse "
+    "responses and positions would separate them (roomfit identify)."
+)
+
+
+def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
+    """Return the mean by Eyring, decay times, and mean and materials by each formula."""
+    centres = found.bands.centres_hz
+    measured = zip(found.decay_s.tolist(), found.decay_sd_s.tolist(), strict=True)
+    times = [Cell(number(t, 2), (f"± {number(sd, 2)}",)) for t, sd in measured]
+    tables = list(
+        band_tables(
+            "Decay time in s, with its standard deviation", "", centres,
+            [("mean over positions", *times)],
+        )
+    )  # fmt: skip
+    for formula, mean, absorption in zip(FORMULAS, found.mean, found.absorption, strict=True):
+        named = zip(found.materials, absorption, strict=True)
+        rows = [(name, *bounded_cells(values)) for name, values in named]
+        rows.append((Cell("mean of the room", style="total"), *bounded_cells(mean)))
+        caption = f"Absorption by {formula}, 95 % interval; materials are their priors, moved"
+        tables += band_tables(caption, "material", centres, rows)
+    middle = int(np.argmin(np.abs(np.log(centres / 500.0))))
+    value, low, high = (number(x, 2) for x in found.mean[FORMULAS.index("Eyring"), :, middle])
+    lead = (
+        f"By Eyring the mean absorption of the room at {hertz(centres[middle])} is {value} "
+        f"({low} to {high})."
+    )
+    head = (Sentence(lead, "lead"), Sentence(_DIFFUSE))
+    return Blocks("Mean absorption from decay times", head, tuple(tables))
+
+
+def diffuse_records(found: DiffuseAbsorption) -> Table:
+    """Return the content of reverberation.csv; material "" is the mean of the room."""
+    rows = []
+    for i, formula in enumerate(FORMULAS):
+        named = (("", found.mean[i]), *zip(found.materials, found.absorption[i], strict=True))
+        for name, values in named:
+            for centre, column in zip(found.bands.centres_hz, values.T, strict=True):
+                rows.append((formula, name, centre, *column))
+    names = ("absorption", "lower95", "upper95")
+    return Table("", ("formula", "material", Column("band_hz"), *names), rows, form=".5f")

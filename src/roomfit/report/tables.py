@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -30,14 +31,12 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.result import Compared, ComparedPair, Result
+from roomfit.result import ComparedPair, Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
 from roomfit.signals.speech import sti_of_decay
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
-
-NOT_IDENTIFIABLE = "not identif."
 
 
 def fixed_coefficients(answer: Result) -> BoolArray:
@@ -45,49 +44,30 @@ def fixed_coefficients(answer: Result) -> BoolArray:
     return np.asarray(answer.lower95 == answer.upper95)
 
 
-def absorption_tables(answer: Result) -> tuple[Table, ...]:
-    """Return absorption with its 95 % interval, materials in rows, with the mean of the room.
-
-    "?" and brackets mark what is not identifiable, "given" what was fixed.
-    """
-    rows, fixed = [], fixed_coefficients(answer)
-    values = np.stack([answer.absorption, answer.lower95, answer.upper95])
-    for i, name in enumerate(answer.materials):
-        head = Cell(name, (f"{area(float(answer.areas_m2[i]))} m²",), colour=material_colour(i))
-        rows.append((head, *coefficient_cells(values[:, i], answer.identifiable[i], fixed[i])))
-    whole = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
-    total = Cell("mean of the room", (whole,), "total")
-    rows.append((total, *coefficient_cells(answer.mean_absorption)))
-    caption = f"Absorption coefficient, 95 % interval ({answer.interval_kind})"
-    return band_tables(caption, "material", answer.bands.centres_hz, rows)
-
-
-def object_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the equivalent absorption area of every object with its interval."""
-    if (found := answer.objects) is None:
-        return ()
-    rows = []
-    for i, name in enumerate(found.names):
-        bounds = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
-        cells = [
-            _marked(_area_cell(value, low, high), sure=sure, fixed=high <= low)
-            for value, low, high, sure in zip(*bounds, found.identifiable[i], strict=True)
-        ]
-        rows.append((Cell(name), *cells))
-    caption = "Equivalent absorption area of objects in m², 95 % interval"
-    return band_tables(caption, "object", answer.bands.centres_hz, rows)
-
-
-def coefficient_cells(
-    values: FloatArray, sure: ArrayLike = True, fixed: ArrayLike = False
+def bounded_cells(
+    values: FloatArray,
+    sure: ArrayLike = True,
+    fixed: ArrayLike = False,
+    write: Callable[[float, float], str] = coefficient,
 ) -> list[Cell]:
-    """Return cells of coefficients and their bounds, shape (3, n_bands); doubts are in words."""
+    """Return cells of values and their 95 % bounds, shape (3, n_bands); doubts are in words.
+
+    `write` gives the text of a value, by the upper bound. "?" and brackets mark what is not
+    identifiable, "given" what was fixed.
+    """
     rest = np.broadcast_arrays(values[0], sure, fixed)[1:]
     cells = []
-    for value, lower, upper, is_sure, given in zip(*values, *rest, strict=True):
-        low, middle, high = (coefficient(float(x), float(upper)) for x in (lower, value, upper))
-        cell = known_or(Cell(middle, (f"{low}{DASH}{high}",)), "not determined", "unsure")
-        cells.append(_marked(cell, sure=is_sure, fixed=given))
+    for value, lower, upper, is_sure, given in zip(*values.tolist(), *rest, strict=True):
+        text, known = write(value, upper), bool(np.isfinite([lower, upper]).all())
+        small = (f"{write(lower, upper)}{DASH}{write(upper, upper)}",) if known else ()
+        if text == DASH:
+            cells.append(Cell(DASH, ("not determined",), "unsure"))
+        elif given:
+            cells.append(Cell(text, ("given",), "given"))
+        else:
+            sure_cell = Cell(text, small)
+            doubted = Cell(f"({text})", (*small, "not identif."), "unsure")
+            cells.append(sure_cell if is_sure else doubted)
     return cells
 
 
@@ -96,13 +76,89 @@ def known_or(cell: Cell, reason: str, style: str = "missing") -> Cell:
     return Cell(DASH, (reason,), style) if cell.text == DASH else cell
 
 
-def _marked(cell: Cell, *, sure: object, fixed: object) -> Cell:
-    """Return a cell with the words for what was given, or is not identifiable."""
-    if cell.text == DASH or (sure and not fixed):
-        return cell
-    if fixed:
-        return Cell(cell.text, ("given",), "given")
-    return Cell(f"({cell.text})", (*cell.small, NOT_IDENTIFIABLE), "unsure")
+def absorption_tables(answer: Result) -> tuple[Table, ...]:
+    """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
+    rows, fixed = [], fixed_coefficients(answer)
+    values = np.stack([answer.absorption, answer.lower95, answer.upper95])
+    for i, name in enumerate(answer.materials):
+        head = Cell(name, (f"{area(float(answer.areas_m2[i]))} m²",), colour=material_colour(i))
+        rows.append((head, *bounded_cells(values[:, i], answer.identifiable[i], fixed[i])))
+    whole = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
+    total = Cell("mean of the room", (whole,), "total")
+    rows.append((total, *bounded_cells(answer.mean_absorption)))
+    caption = f"Absorption coefficient, 95 % interval ({answer.interval_kind})"
+    return band_tables(caption, "material", answer.bands.centres_hz, rows)
+
+
+def prior_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the prior, in the order of `absorption_tables`."""
+    each = zip(
+        answer.materials, answer.prior.swapaxes(0, 1), fixed_coefficients(answer), strict=True
+    )
+    rows = [(name, *bounded_cells(own, fixed=fixed)) for name, own, fixed in each]
+    caption = "Prior, specified or assumed, 95 % interval"
+    return band_tables(caption, "material", answer.bands.centres_hz, rows)
+
+
+def _area_cells(values_m2: ArrayLike, sure: ArrayLike = True) -> list[Cell]:
+    """Return cells of areas, or of areas and their bounds."""
+    values = np.full((3, np.shape(values_m2)[-1]), np.nan)
+    values[: np.atleast_2d(values_m2).shape[0]] = values_m2
+    return bounded_cells(values, sure, values[1] == values[2], lambda value_m2, _: area(value_m2))
+
+
+def object_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the equivalent absorption area of every object with its interval."""
+    rows = _object_rows(answer)
+    caption = "Equivalent absorption area of objects in m², 95 % interval"
+    return band_tables(caption, "object", answer.bands.centres_hz, rows) if rows else ()
+
+
+def _object_rows(answer: Result) -> list[list[Value]]:
+    if (found := answer.objects) is None:
+        return []
+    values = np.stack([found.area_m2, found.lower95_m2, found.upper95_m2], axis=1)
+    each = zip(found.names, values, found.identifiable, strict=True)
+    return [[name, *_area_cells(own, sure)] for name, own, sure in each]
+
+
+def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
+    """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
+
+    Below the area of a material its share of the surfaces' absorption, with the 95 % interval. The
+    interval of the sum is that of the mean absorption times the whole area; the air's part is the
+    last term of equation 6 of ISO 354:2003.
+    """
+    areas, whole = answer.absorption * answer.areas_m2[:, None], float(np.sum(answer.areas_m2))
+    solid, volume = areas.sum(axis=0), volume_m3(scene.room.mesh)
+    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume
+    nothing = Cell("", style="first")
+    rows: list[Sequence[Value]] = []
+    for i, name in enumerate(answer.materials):
+        texts = [[number(100.0 * x, 0) for x in column] for column in answer.shares[:, i].T]
+        cells = [
+            replace(cell, small=(*cell.small, f"{value} % ({low}{DASH}{high})"))
+            for cell, (value, low, high) in zip(
+                _area_cells(areas[i], answer.identifiable[i]), texts, strict=True
+            )
+        ]
+        rows.append((name, Cell(area(float(answer.areas_m2[i])), style="first"), *cells))
+    sums = np.stack([solid, *(answer.mean_absorption[1:] * whole)])
+    head = Cell("all surfaces", ("95 % interval below",), "total")
+    rows.append((head, Cell(area(whole), style="first"), *_area_cells(sums)))
+    words, found = "surfaces and air", answer.objects
+    for head, *object_cells in _object_rows(answer):
+        rows.append((Cell(str(head), ("object",)), nothing, *object_cells))
+    if found is not None:
+        words, solid = "with objects and air", solid + found.area_m2.sum(axis=0)
+    rows.append((Cell("air, 4mV", (f"V = {area(volume)} m³",)), nothing, *_area_cells(air)))
+    rows.append((Cell("total", (words,), "total"), nothing, *_area_cells(solid + air)))
+    caption = (
+        "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m², and its share of the "
+        "surfaces' absorption"
+    )
+    centres = answer.bands.centres_hz
+    return band_tables(caption, "material", centres, rows, before=("S in m²",))
 
 
 def fit_tables(answer: Result) -> tuple[Table, ...]:
@@ -115,68 +171,6 @@ def fit_tables(answer: Result) -> tuple[Table, ...]:
     rows = [(Cell("φ", ("1: as expected",)), *phi), ("the fit converged", *converged)]
     caption = "How well the model explains the data"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
-
-
-def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
-    """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
-
-    The interval of the sum is that of the mean absorption times the whole area; the air's part is
-    the last term of equation 6 of ISO 354:2003.
-    """
-    areas, whole = answer.absorption * answer.areas_m2[:, None], float(np.sum(answer.areas_m2))
-    solid, volume = areas.sum(axis=0), volume_m3(scene.room.mesh)
-    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume
-    nothing = Cell("", style="first")
-    rows: list[Sequence[Value]] = []
-    for name, area_m2, values, sure in zip(
-        answer.materials, answer.areas_m2, areas, answer.identifiable, strict=True
-    ):
-        cells = (
-            cell if is_sure or cell.text == DASH else Cell(f"({cell.text})", style="unsure")
-            for cell, is_sure in zip(map(_area_cell, values), sure, strict=True)
-        )
-        rows.append((name, Cell(area(float(area_m2)), style="first"), *cells))
-    bounds = map(_area_cell, solid, *(answer.mean_absorption[1:] * whole))
-    head = Cell("all surfaces", ("95 % interval below",), "total")
-    rows.append((head, Cell(area(whole), style="first"), *bounds))
-    if (found := answer.objects) is not None:
-        for i, name in enumerate(found.names):
-            own = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
-            rows.append((Cell(name, ("object",)), nothing, *map(_area_cell, *own)))
-        solid = solid + found.area_m2.sum(axis=0)
-    rows.append((Cell("air, 4mV", (f"V = {area(volume)} m³",)), nothing, *map(_area_cell, air)))
-    words = "surfaces and air" if found is None else "with objects and air"
-    rows.append((Cell("total", (words,), "total"), nothing, *map(_area_cell, solid + air)))
-    caption = "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²"
-    centres = answer.bands.centres_hz
-    return band_tables(caption, "material", centres, rows, before=("S in m²",))
-
-
-def _area_cell(value_m2: float, low_m2: float = np.nan, high_m2: float = np.nan) -> Cell:
-    known = np.isfinite(low_m2) and np.isfinite(high_m2)
-    interval = (f"{area(low_m2)}{DASH}{area(high_m2)}",) if known else ()
-    return known_or(Cell(area(value_m2), interval), "not determined", "unsure")
-
-
-def share_tables(answer: Result) -> tuple[Table, ...]:
-    """Return what share of the room's absorption each material contributes, with its interval."""
-    rows = []
-    for i, name in enumerate(answer.materials):
-        texts = ([number(100.0 * x, 0) for x in column] for column in answer.shares[:, i].T)
-        rows.append((name, *(Cell(value, (f"{low}{DASH}{high}",)) for value, low, high in texts)))
-    caption = "Share of the surfaces' absorption in %, 95 % interval below"
-    return band_tables(caption, "material", answer.bands.centres_hz, rows)
-
-
-def prior_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the prior, in the order of `absorption_tables`."""
-    fixed = fixed_coefficients(answer)
-    rows = [
-        (name, *coefficient_cells(answer.prior[:, i], fixed=fixed[i]))
-        for i, name in enumerate(answer.materials)
-    ]
-    caption = "Prior, specified or assumed, 95 % interval"
-    return band_tables(caption, "material", answer.bands.centres_hz, rows)
 
 
 def budget_tables(answer: Result) -> tuple[Table, ...]:
@@ -198,33 +192,28 @@ def budget_tables(answer: Result) -> tuple[Table, ...]:
 
 
 def _budget_rows(block: Sequence[Budget]) -> list[Sequence[Value]]:
-    rows: list[Sequence[Value]] = [
-        ("absorption coefficient", *(number(one.value, 3) for one in block))
+    names = {name for one in block for name in one.variances}
+    rows: dict[str | Cell, list[Value]] = {
+        "absorption coefficient": [number(one.value, 3) for one in block]
+    }
+    for name in sorted(names, key=lambda n: ([*SOURCES, n].index(n), n)):
+        variances = [one.variances.get(name, 0.0) for one in block]
+        rows[Cell(name, (SOURCES[name],) if name in SOURCES else ())] = [
+            Cell(number(contribution(v), 4), (f"{number(share(v, one), 0)} %",))
+            for v, one in zip(variances, block, strict=True)
+        ]
+    rows[Cell("combined standard uncertainty", style="total")] = [
+        number(one.standard, 4) for one in block
     ]
-    names = dict.fromkeys(name for one in block for name in one.variances)
-    for name in sorted(names, key=lambda n: [*SOURCES, n].index(n)):
-        cells = []
-        for one in block:
-            variance = one.variances.get(name, 0.0)
-            percent = (f"{number(share(variance, one), 0)} %",)
-            cells.append(Cell(number(contribution(variance), 4), percent))
-        rows.append((Cell(name, (SOURCES[name],) if name in SOURCES else ()), *cells))
-    expanded = [
+    rows[Cell("coverage factor", style="total")] = [f"{Z95:.2f}"] * len(block)
+    rows[Cell("expanded uncertainty", style="total")] = [
         Cell(number(Z95 * one.standard, 3), (f"{one.lower95:.3f}{DASH}{one.upper95:.3f}",))
         for one in block
     ]
-    free = (Cell(number(one.without_prior, 4)) for one in block)
-    without = [known_or(cell, "nothing would be known") for cell in free]
-    rows += [
-        (Cell(name, style="total"), *cells)
-        for name, cells in (
-            ("combined standard uncertainty", [number(one.standard, 4) for one in block]),
-            ("coverage factor", [f"{Z95:.2f}"] * len(block)),
-            ("expanded uncertainty", expanded),
-            ("without the prior", without),
-        )
+    rows[Cell("without the prior", style="total")] = [
+        known_or(Cell(number(one.without_prior, 4)), "nothing would be known") for one in block
     ]
-    return rows
+    return [(head, *cells) for head, cells in rows.items()]
 
 
 def condition_tables(answer: Result) -> tuple[Table, ...]:
@@ -237,34 +226,28 @@ def condition_tables(answer: Result) -> tuple[Table, ...]:
     key = decay_time_key(name for p in fitted for name in p.parameters)
     if key is None:
         return ()
-    rows_s = np.array([p.parameters[key].measured for p in fitted if key in p.parameters])
+    symbol = parameter(key).symbol
+    rows: list[list[Value]] = [
+        [f"mean {symbol} in s"],
+        [Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",))],
+        [Cell("the same in %", ("from the scatter of the pairs",))],
+    ]
+    measured_s = np.array([p.parameters[key].measured for p in fitted if key in p.parameters])
     widths_hz = answer.bands.upper_hz - answer.bands.lower_hz
-    columns = []
-    for width_hz, measured_s in zip(widths_hz, rows_s.T, strict=True):
-        times_s = measured_s[np.isfinite(measured_s)]
+    for width_hz, column_s in zip(widths_hz, measured_s.T, strict=True):
+        times_s = column_s[np.isfinite(column_s)]
         n, mean_s = times_s.size, float(times_s.mean()) if times_s.size else np.nan
         theory = DECAY_SCATTER[key] / np.sqrt(n * width_hz * mean_s) if n else np.nan
         observed = times_s.std(ddof=1) / mean_s / np.sqrt(n) if n > 1 else np.nan
-        columns.append(
-            (
-                known_or(Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"),
-                known_or(Cell(number(100.0 * theory, 1)), "not measured"),
-                known_or(Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured"),
-            )
+        cells = (
+            (Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"),
+            (Cell(number(100.0 * theory, 1)), "not measured"),
+            (Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured"),
         )
-    symbol = parameter(key).symbol
-    heads = (
-        Cell(f"mean {symbol} in s"),
-        Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",)),
-        Cell("the same in %", ("from the scatter of the pairs",)),
-    )
-    rows = [(head, *cells) for head, *cells in zip(heads, *columns, strict=True)]
+        for row, (cell, reason) in zip(rows, cells, strict=True):
+            row.append(known_or(cell, reason))
     caption = f"Conditions of the measurement: how well the mean {symbol} is known"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
-
-
-NEAR_JND, FAR_JND = 1.0, 2.0
-"""Up to the first no difference is audible; above the second it is plain."""
 
 
 def pair_title(pair: ComparedPair) -> str:
@@ -284,14 +267,6 @@ def parameter_keys(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:
     }
     known = tuple(key for key in PARAMETERS if key in found)
     return (*known, *sorted(found - set(known)))
-
-
-def baseline_jnd(key: str, compared: Compared) -> FloatArray:
-    """Return the baseline's error in just noticeable differences, shape (n_bands,)."""
-    if key not in PARAMETERS:
-        return np.full(compared.measured.shape, np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return in_jnd(key, compared.measured, compared.null)
 
 
 def mean_abs_jnd(pair: ComparedPair) -> float:
@@ -314,14 +289,17 @@ def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
         rows = []
         for key in keys:
             how, compared = parameter(key), pair.parameters.get(key)
-            cells = [Cell(DASH, ("not given",), "missing")] * len(centres)
-            head = Cell(how.symbol, (f"in {how.unit}",) if how.unit and compared else ())
-            if compared is not None:
-                columns = (compared.measured, compared.predicted, compared.jnd)
-                beside = baseline_jnd(key, compared)
-                rest = zip(*columns, beside, strict=True)
-                cells = [_jnd_cell(how.decimals, *map(float, x)) for x in rest]
-            rows.append((head, *cells))
+            if compared is None:
+                missing = [Cell(DASH, ("not given",), "missing")] * len(centres)
+                rows.append((Cell(how.symbol), *missing))
+                continue
+            beside = np.full(len(centres), np.nan)
+            if key in PARAMETERS:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    beside = in_jnd(key, compared.measured, compared.null)
+            columns = (compared.measured, compared.predicted, compared.jnd, beside)
+            cells = [_jnd_cell(how.decimals, *map(float, x)) for x in zip(*columns, strict=True)]
+            rows.append((Cell(how.symbol, (f"in {how.unit}",) if how.unit else ()), *cells))
         title = pair_title(pair)
         caption = f"{title}: predicted minus measured in JND"
         found.append((title, band_tables(caption, "parameter", centres, rows)))
@@ -331,26 +309,22 @@ def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
 def _jnd_cell(
     decimals: int, measured: float, predicted: float, jnd: float, baseline: float
 ) -> Cell:
-    if not np.isfinite(measured):
-        guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
+    before, after = (number(x, decimals) for x in (measured, predicted))
+    if before == DASH:
+        guess = [] if after == DASH else [f"predicted {after}"]
         return Cell(DASH, ("not measured", *guess), "missing")
-    if not np.isfinite(predicted):
-        text = number(measured, decimals)
-        return Cell(DASH, ("not predicted", f"measured {text}"), "missing")
-    values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
+    if after == DASH:
+        return Cell(DASH, ("not predicted", f"measured {before}"), "missing")
     beside = f"others {number(baseline, 1, signed=True)}" if np.isfinite(baseline) else "no others"
-    return Cell(number(jnd, 1, signed=True), (values, beside), jnd_style(jnd))
+    return Cell(number(jnd, 1, signed=True), (f"{before} → {after}", beside), _audible(jnd))
 
 
-def jnd_style(jnd: float) -> str:
+def _audible(jnd: float) -> str:
     """Return the style sheet's name for how audible an error is."""
     if not np.isfinite(jnd):
         return "missing"
     size = abs(round(jnd, 1))
-    return "near" if size <= NEAR_JND else "middle" if size <= FAR_JND else "far"
-
-
-WORSE = "▲"
+    return "near" if size <= 1.0 else "middle" if size <= 2.0 else "far"
 
 
 def errors_of(pairs: Sequence[ComparedPair], key: str) -> tuple[FloatArray, FloatArray]:
@@ -399,7 +373,7 @@ def _error_cell(key: str, model: float, baseline: float) -> Cell:
         return known_or(Cell(text, ("no others",)), "not comparable")
     others = (f"others {number(baseline, decimals)}",)
     if round(model, decimals) > round(baseline, decimals):
-        return Cell(f"{WORSE} {text}", others, "worse")
+        return Cell(f"▲ {text}", others, "worse")
     return known_or(Cell(text, others), "not comparable")
 
 
@@ -470,7 +444,7 @@ def sti_tables(answer: Result) -> tuple[Table, ...]:
         others = np.mean(fitted) if fitted else np.nan
         own, steps = (in_jnd("STI", np.array(measured), np.array(x)) for x in (predicted, others))
         small = (f"others {number(float(steps), 1, signed=True)}",)
-        error = Cell(number(float(own), 1, signed=True), small, jnd_style(float(own)))
+        error = Cell(number(float(own), 1, signed=True), small, _audible(float(own)))
         rows.append((pair_title(pair), measured, predicted, error))
     caption = "Speech transmission index of the room alone: without noise, masking and threshold"
     columns = ("pair", "measured", "predicted", "error in JND")

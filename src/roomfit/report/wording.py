@@ -117,8 +117,9 @@ PARAMETERS = {
     "D50_percent": Parameter("D50", "%", 0, "points", 1),
     "TS_ms": Parameter("TS", "ms", 0, "ms", 1),
     "G_dB": Parameter("G", "dB", 1, "dB", 2),
+    "STI": Parameter("STI", "", 2, "", 2),
 }
-"""In the order in which tables show them; those of ISO 3382-1."""
+"""In the order in which tables show them; those of ISO 3382-1, and of IEC 60268-16."""
 
 
 def parameter(key: str) -> Parameter:
