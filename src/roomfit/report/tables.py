@@ -147,8 +147,8 @@ def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     head = Cell("all surfaces", ("95 % interval below",), "total")
     rows.append((head, Cell(area(whole), style="first"), *_area_cells(sums)))
     words, found = "surfaces and air", answer.objects
-    for head, *object_cells in _object_rows(answer):
-        rows.append((Cell(str(head), ("object",)), nothing, *object_cells))
+    for object_name, *object_cells in _object_rows(answer):
+        rows.append((Cell(str(object_name), ("object",)), nothing, *object_cells))
     if found is not None:
         words, solid = "with objects and air", solid + found.area_m2.sum(axis=0)
     rows.append((Cell("air, 4mV", (f"V = {area(volume)} m³",)), nothing, *_area_cells(air)))
