@@ -12,10 +12,7 @@ import numpy as np
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.forks import (
-    counted_evaluations,
-    in_this_process,
-)
+from roomfit.base.forks import counted_evaluations, in_this_process
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import Progress, part
 from roomfit.checks.evidence import Evidence, Recorded
@@ -29,13 +26,7 @@ from roomfit.checks.examine import (
 )
 from roomfit.checks.verdict import judge
 from roomfit.fit.bands import estimate_energies
-from roomfit.fit.displacement import (
-    displaced,
-    displacement_model,
-    located,
-    offsets_of,
-    with_offsets,
-)
+from roomfit.fit.displacement import displaced, located, offsets_of, with_offsets
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
@@ -220,18 +211,17 @@ def _with_positions_examined(
     trim_memory()
     offsets = offsets_of(measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
-    moved_m = np.zeros(len(offsets))
-    outline = displacement_model(measured, priors, traced, fits, offsets, moved_m)
-    if is_stated.any() and outline is not None:
-        moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
+    found = located(measured, priors, traced, fits, offsets, np.zeros(len(offsets)))
+    if is_stated.any() and found is not None:
+        moved_m = np.where(is_stated, found.shift_m, 0.0)
         scene = displaced(measured.scene, offsets, moved_m)
         range_db, patterns = settings.decay_range_db, measured.directivities
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
         traced, fits = _fitted(measured, priors, settings, progress)
-        outline = displacement_model(measured, priors, traced, fits, offsets, moved_m)
-    if outline is not None:
-        fits = with_offsets(fits, outline, located(outline))
+        found = located(measured, priors, traced, fits, offsets, moved_m)
+    if found is not None:
+        fits = with_offsets(fits, found)
     return observed, traced, fits
 
 

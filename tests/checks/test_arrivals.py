@@ -12,7 +12,7 @@ import roomfit
 from roomfit.base.air import Air, speed_of_sound_m_s
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.checks.arrivals import arrival_verdicts
+from roomfit.checks.arrivals import arrival_findings
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.checks.usable import check_recordings
 from roomfit.room.scene import scene_of, shoebox_room
@@ -102,7 +102,7 @@ def measured_findings(files, scene=SCENE):
 
 
 def causes(scene, files):
-    return [v.finding for v in arrival_verdicts(scene, files)]
+    return list(arrival_findings(scene, files))
 
 
 def test_a_campaign_as_specified_raises_nothing():

@@ -21,7 +21,6 @@ from roomfit.base.findings import Code, Edit, Finding, Remedy
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.checks.evidence import (
     UNDECIDED,
-    ArrivalVerdict,
     Recorded,
     about_files,
     files_in_words,
@@ -54,14 +53,12 @@ _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long befor
 _TOLERANCE_SD = 3.0  # standard deviations of an onset in its tolerance
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 
+_Findings = tuple[Finding, ...]
 
-_Verdicts = tuple[ArrivalVerdict, ...]
 
-
-def check(evidence: Recorded) -> Iterator[Finding]:
-    """Yield the one cause, if there is one, why direct sounds do not arrive when they should."""
-    for verdict in evidence.arrivals:
-        yield verdict.finding
+def check(evidence: Recorded) -> _Findings:
+    """Return the one cause, if there is one, why direct sounds do not arrive when they should."""
+    return evidence.arrivals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,15 +80,17 @@ class _Arrivals:
         return self.path_m - self.distance_m
 
     @property
-    def ends_m(self) -> tuple[FloatArray, FloatArray]:
-        """Positions of source and receiver, (n, 3) each."""
-        source, receiver = (
-            np.array([p.position_m for p in points]) for points in (self.source, self.receiver)
-        )
-        return source, receiver
+    def ends(self) -> tuple[list[Point], list[Point]]:
+        """Sources and receivers."""
+        return self.source, self.receiver
+
+    @property
+    def away_m(self) -> FloatArray:
+        """From each source to its receiver, (n, 3)."""
+        return _away_m(self.source, self.receiver)
 
 
-def arrival_verdicts(scene: Scene, measurements: Sequence[Measurement]) -> _Verdicts:
+def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> _Findings:
     """Return the one cause, if there is one, why direct sounds do not arrive when they should.
 
     Only recordings whose clock starts at emission are compared. Patterns are tried from the
@@ -99,22 +98,22 @@ def arrival_verdicts(scene: Scene, measurements: Sequence[Measurement]) -> _Verd
     receivers that are displaced together; coordinates in another unit; every file begins long
     before, each at another instant; two files, or two points, exchanged; one point displaced.
 
-    Several verdicts where sources have delays of their own, or a delay beside a displaced point.
+    Several findings where sources have delays of their own, or a delay beside a displaced point.
     """
     found = _arrivals(scene, measurements)
     if found is None:
         return ()
     if np.any(np.abs(found.late_m) > found.tolerance_m):
         for cause in (_begin_at_direct, _likeliest, _other_unit, _begin_anywhere, _exchanged):
-            if verdicts := cause(found):
-                return verdicts
-    verdicts = _displaced(found)
-    if verdicts:
-        displaced = verdicts[0].finding.about.files
+            if findings := cause(found):
+                return findings
+    findings = _displaced(found)
+    if findings:
+        displaced = findings[0].about.files
         rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
         late = rest and (_one_delay(rest) or _delays(rest))
-        verdicts = late.verdicts + verdicts if late else verdicts
-    return verdicts
+        findings = late.findings + findings if late else findings
+    return findings
 
 
 def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | None:
@@ -130,28 +129,25 @@ def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | 
     if not onset_s:
         return None
     sources, receivers = ({p.name: p for p in ps} for ps in (scene.sources, scene.receivers))
-    source, receiver = (
-        [sources[m.source] for m in onset_s],
-        [receivers[m.receiver] for m in onset_s],
-    )
+    source = [sources[m.source] for m in onset_s]
+    receiver = [receivers[m.receiver] for m in onset_s]
     return _Arrivals(
         list(onset_s),
         source,
         receiver,
         c * np.array(list(onset_s.values())),
         c * np.array([find_peak(m.response, t) for m, t in onset_s.items()]),
-        _distances_m(source, receiver),
+        np.linalg.norm(_away_m(source, receiver), axis=1),
         np.array([onset_tolerance_m(c, m.response.sampling_rate_hz) for m in onset_s]),
         c,
     )
 
 
-def _distances_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArray:
-    away = [s.position_m - r.position_m for s, r in zip(source, receiver, strict=True)]
-    return np.asarray(np.linalg.norm(away, axis=1))
+def _away_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArray:
+    return np.array([r.position_m - s.position_m for s, r in zip(source, receiver, strict=True)])
 
 
-def _begin_at_direct(found: _Arrivals) -> _Verdicts:
+def _begin_at_direct(found: _Arrivals) -> _Findings:
     """Every file was cut at its direct sound: onsets are alike on the files' own clocks."""
     own_m = found.path_m + found.speed_m_s * np.array([m.latency_s for m in found.measurements])
     tolerance_m, distance_m = float(found.tolerance_m.max()), found.distance_m
@@ -165,7 +161,7 @@ def _begin_at_direct(found: _Arrivals) -> _Verdicts:
     return _clock_of_direct(found, text)
 
 
-def _begin_anywhere(found: _Arrivals) -> _Verdicts:
+def _begin_anywhere(found: _Arrivals) -> _Findings:
     """Every file begins long before the sound, each at another instant."""
     late_s = found.late_m / found.speed_m_s
     if len(late_s) < 2 or late_s.min() < _LEAD_S:
@@ -177,14 +173,13 @@ def _begin_anywhere(found: _Arrivals) -> _Verdicts:
     return _clock_of_direct(found, text)
 
 
-def _clock_of_direct(found: _Arrivals, text: str) -> _Verdicts:
+def _clock_of_direct(found: _Arrivals, text: str) -> _Findings:
     """The first sample of a file tells nothing of when the sound was emitted."""
     files = found.measurements
     sentence = f'All {len(files)} files {text}: set time_zero = "direct".'
     about, evidence = about_files(*files), {"time_zero": "direct"}
     advised = of_files(files, "time_zero", "direct", now=["emission"])
-    finding = Finding(Code.RECORDINGS_LATE, about, sentence, evidence, remedies=[advised])
-    return (ArrivalVerdict(finding, time_zero="direct"),)
+    return (Finding(Code.RECORDINGS_LATE, about, sentence, evidence, remedies=[advised]),)
 
 
 class _Explanation(NamedTuple):
@@ -192,10 +187,10 @@ class _Explanation(NamedTuple):
 
     evidence: float  # logarithm of the marginal likelihood
     words: str  # after "or"
-    verdicts: _Verdicts
+    findings: _Findings
 
 
-def _likeliest(found: _Arrivals) -> _Verdicts:
+def _likeliest(found: _Arrivals) -> _Findings:
     """Return the likeliest of delays, a scale and displaced receivers that mends all arrivals.
 
     It must be a thousand times as likely as arrivals by the geometry that err; others whose
@@ -210,10 +205,7 @@ def _likeliest(found: _Arrivals) -> _Verdicts:
     best = max(likely, key=lambda e: e.evidence)
     others = [e.words for e in likely if e is not best and best.evidence - e.evidence < UNDECIDED]
     more = f" Or {others[0]}." if others else ""
-    return tuple(
-        replace(v, finding=replace(v.finding, sentence=v.finding.sentence + more))
-        for v in best.verdicts
-    )
+    return tuple(replace(f, sentence=f.sentence + more) for f in best.findings)
 
 
 def _evidence(
@@ -265,7 +257,7 @@ def _delays(found: _Arrivals) -> _Explanation | None:
 
 def _late_by(found: _Arrivals, groups: BoolArray) -> _Explanation | None:
     """All recordings of each group, (n_groups, n), are late by one time, or by none."""
-    verdicts, columns, ranges_m, rest_m = [], [], [], np.array(found.late_m)
+    findings, columns, ranges_m, rest_m = [], [], [], np.array(found.late_m)
     for group in groups:
         late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
         middle_m = float(np.median(late_m))
@@ -276,17 +268,17 @@ def _late_by(found: _Arrivals, groups: BoolArray) -> _Explanation | None:
             chosen = [found.measurements[i] for i in np.flatnonzero(group)]
             # onsets decide, which a slow pulse leaves where they are; by how much, the peaks say
             own_m = float(np.median((found.peak_m - found.distance_m)[group]))
-            verdicts.append(_late(chosen, own_m / found.speed_m_s, groups.shape[1]))
+            findings.append(_late(chosen, own_m / found.speed_m_s, groups.shape[1]))
             rest_m[group] -= float(np.mean(late_m))
             columns.append(group.astype(float))
             ranges_m.append(2.0 * _LOG_DELAYS * abs(middle_m))
-    if not verdicts:
+    if not findings:
         return None
     evidence = _evidence(found, rest_m, np.stack(columns, axis=1), np.array(ranges_m))
-    return _Explanation(evidence, "their clocks are late", tuple(verdicts))
+    return _Explanation(evidence, "their clocks are late", tuple(findings))
 
 
-def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> ArrivalVerdict:
+def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Finding:
     samples = abs(late_s) * measurements[0].response.sampling_rate_hz
     # one that is not 0 may hold where a file says that it begins, beside what the campaign states
     is_unset = all(m.latency_s == 0.0 for m in measurements)
@@ -307,8 +299,7 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Arr
     delay = replace(of_files(measurements, "latency_s", late_s, how="add"), once=True)
     remedies = [delay, of_files(measurements, "time_zero", "unknown", now=["emission"])]
     about = about_files(*measurements)
-    finding = Finding(Code.RECORDINGS_LATE, about, text, evidence, remedies=remedies)
-    return ArrivalVerdict(finding, late_s)
+    return Finding(Code.RECORDINGS_LATE, about, text, evidence, remedies=remedies)
 
 
 def _stretched(found: _Arrivals) -> _Explanation | None:
@@ -328,7 +319,7 @@ def _stretched(found: _Arrivals) -> _Explanation | None:
     return _Explanation(evidence, words, (_scaled(known, found),))
 
 
-def _scaled(factor: float, found: _Arrivals) -> ArrivalVerdict:
+def _scaled(factor: float, found: _Arrivals) -> Finding:
     another = "the scale of the drawing, the sampling rate, or the temperature is another"
     unit, what = _FACTORS.get(factor, ("", another))
     text = (
@@ -345,11 +336,10 @@ def _scaled(factor: float, found: _Arrivals) -> ArrivalVerdict:
         words = f"positions times {factor:.4g}"
         remedies.append(Remedy(both, f"room in {unit}, {words}", once=True))
         remedies.append(Remedy(points, f"{words}, the room as it is", once=True))
-    finding = Finding(Code.COORDINATES_SCALED, about, text, evidence, remedies=remedies)
-    return ArrivalVerdict(finding)
+    return Finding(Code.COORDINATES_SCALED, about, text, evidence, remedies=remedies)
 
 
-def _other_unit(found: _Arrivals) -> _Verdicts:
+def _other_unit(found: _Arrivals) -> _Findings:
     """All distances are those of another unit, beside a common delay."""
     if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
         return ()
@@ -365,16 +355,16 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     at = {p.name: p.position_m for p in found.receiver}
     if len(at) < 2 or len(found.late_m) <= 3:
         return None
-    (from_m, to_m), shift_m = found.ends_m, np.zeros(3)
+    shift_m = np.zeros(3)
     for _ in range(_STEPS):
-        away = to_m + shift_m - from_m
+        away = found.away_m + shift_m
         distance_m = np.linalg.norm(away, axis=1)
         columns = away / distance_m[:, None]
         step_m, _, rank, _ = np.linalg.lstsq(columns, found.path_m - distance_m, rcond=1e-3)
         if rank < 3:
             return None
         shift_m += step_m
-    rest_m = found.path_m - np.linalg.norm(to_m + shift_m - from_m, axis=1)
+    rest_m = found.path_m - np.linalg.norm(found.away_m + shift_m, axis=1)
     size_m = float(np.linalg.norm(shift_m))
     if not _LEAST_SHIFT_M < size_m < _MOST_SHIFT_M or np.any(np.abs(rest_m) > found.tolerance_m):
         return None
@@ -393,25 +383,26 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     moved = [Edit(("receivers", name), "position", shift, "add") for name in sorted(at)]
     advised = Remedy(moved, f"{in_short(sorted(at))} moved by ({by}) m", once=True)
     finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers, remedies=[advised])
-    return _Explanation(evidence, words, (ArrivalVerdict(finding),))
+    return _Explanation(evidence, words, (finding,))
 
 
 def with_corrected_clocks(
-    measurements: Sequence[Measurement], verdicts: Sequence[ArrivalVerdict]
+    measurements: Sequence[Measurement], findings: Sequence[Finding]
 ) -> list[Measurement]:
-    """Return recordings on the clocks that the verdicts say to set."""
+    """Return recordings on the clocks that findings advise first."""
+    late = [f for f in findings if f.code is Code.RECORDINGS_LATE]
+    advised = {(e.table[1], e.key): e.value for f in late for e in f.remedies[0].edits}
     corrected = []
     for m in measurements:
-        for v in verdicts:
-            if m.time_zero == "emission" and v.time_zero is not None:
-                m = replace(m, time_zero=v.time_zero)
-            elif m.time_zero == "emission" and v.late_s and m.where in v.finding.about.files:
-                m = replace(m, latency_s=m.latency_s + v.late_s)
+        zero, late_s = (advised.get((m.where, key)) for key in ("time_zero", "latency_s"))
+        if m.time_zero == "emission" and (zero or late_s):
+            latency_s = m.latency_s + (late_s or 0.0)
+            m = replace(m, time_zero=zero or m.time_zero, latency_s=latency_s)
         corrected.append(m)
     return corrected
 
 
-def _exchanged(found: _Arrivals) -> _Verdicts:
+def _exchanged(found: _Arrivals) -> _Findings:
     """Two files, receivers or sources have each other's name; one exchange mends it all."""
     middle_m = float(np.median(found.late_m))
     common_m = middle_m if abs(middle_m) > float(found.tolerance_m.max()) else 0.0
@@ -440,9 +431,12 @@ def _exchanged(found: _Arrivals) -> _Verdicts:
             ]
             advised = Remedy(edits, f"exchange {a.name} and {b.name}", once=True)
             about = about_files(a, b)
-            finding = Finding(Code.EXCHANGED, about, text, evidence, remedies=[advised])
-            return (ArrivalVerdict(finding),)
-    exchanges = [(who, e) for who, e, at_m in _two_exchanged(found, off) if mends(at_m)]
+            return (Finding(Code.EXCHANGED, about, text, evidence, remedies=[advised]),)
+    exchanges = [
+        (who, e)
+        for who, e, ends in _two_exchanged(found, off)
+        if mends(np.asarray(np.linalg.norm(_away_m(*ends), axis=1)))
+    ]
     if len(exchanges) != 1:
         return ()
     ((who, exchange),) = exchanges
@@ -460,39 +454,34 @@ def _exchanged(found: _Arrivals) -> _Verdicts:
     ]
     words = " and ".join(name for _, name in ends)
     advised = Remedy(edits, f"exchange the positions of {words}", once=True)
-    finding = Finding(Code.EXCHANGED, about_files(*both), text, exchange, remedies=[advised])
-    return (ArrivalVerdict(finding),)
+    return (Finding(Code.EXCHANGED, about_files(*both), text, exchange, remedies=[advised]),)
 
 
 def _two_exchanged(
     found: _Arrivals, off: IntArray
-) -> Iterator[tuple[str, dict[str, list[str]], FloatArray]]:
-    """Yield two points of doubtful files, in words and by kind, with distances if exchanged, (n,).
+) -> Iterator[tuple[str, dict[str, list[str]], Sequence[Sequence[Point]]]]:
+    """Yield two points of doubtful files, in words and by kind, with all ends if exchanged.
 
     None of a kind of which so many are doubtful that it is something that all have in common.
     """
-    ends = {"receivers": found.receiver, "sources": found.source}
-    few = {
-        kind: list({points[i].name: points[i] for i in off}.values())
-        for kind, points in ends.items()
-    }
-    few = {kind: points if len(points) <= _MOST_EXCHANGED else [] for kind, points in few.items()}
-    for kind, points in few.items():
-        for one, other in combinations(points, 2):
-            to = {one.name: other, other.name: one}
-            moved = ends | {kind: [to.get(p.name, p) for p in ends[kind]]}
-            who = f"{kind} {one.name} and {other.name}"
-            names = {kind: [one.name, other.name]}
-            yield who, names, _distances_m(moved["sources"], moved["receivers"])
-    for one, other in product(few["sources"], few["receivers"]):
-        sources = [other if p.name == one.name else p for p in found.source]
-        receivers = [one if p.name == other.name else p for p in found.receiver]
+    few = [list({points[i].name: points[i] for i in off}.values()) for points in found.ends]
+    few = [points if len(points) <= _MOST_EXCHANGED else [] for points in few]
+
+    def moved(points: Sequence[Point], to: dict[str, Point]) -> list[Point]:
+        return [to.get(p.name, p) for p in points]
+
+    for k, kind in ((1, "receivers"), (0, "sources")):
+        for one, other in combinations(few[k], 2):
+            ends, names = list(found.ends), [one.name, other.name]
+            ends[k] = moved(ends[k], {one.name: other, other.name: one})
+            yield f"{kind} {one.name} and {other.name}", {kind: names}, ends
+    for one, other in product(*few):
+        ends = [moved(found.source, {one.name: other}), moved(found.receiver, {other.name: one})]
         who = f"source {one.name} and the receiver {other.name}"
-        names = {"sources": [one.name], "receivers": [other.name]}
-        yield who, names, _distances_m(sources, receivers)
+        yield who, {"sources": [one.name], "receivers": [other.name]}, ends
 
 
-def _displaced(found: _Arrivals) -> _Verdicts:
+def _displaced(found: _Arrivals) -> _Findings:
     """One source or receiver stands elsewhere, the others as specified: chi-square decides.
 
     Each source may have a delay of its own. To the residuals of all arrivals the three coordinates
@@ -536,11 +525,10 @@ def _displaced(found: _Arrivals) -> _Verdicts:
 
 def _derivatives(found: _Arrivals) -> dict[Point, FloatArray]:
     """Return the derivatives of all paths by the coordinates of each point, (n, 3)."""
-    source, receiver = found.ends_m
-    along = (receiver - source) / found.distance_m[:, None]
+    along = found.away_m / found.distance_m[:, None]
     columns: dict[Point, FloatArray] = {}
-    for ends, sign in ((found.source, -1.0), (found.receiver, 1.0)):
-        for i, point in enumerate(ends):
+    for points, sign in zip(found.ends, (-1.0, 1.0), strict=True):
+        for i, point in enumerate(points):
             columns.setdefault(point, np.zeros_like(along))[i] = sign * along[i]
     return columns
 
@@ -553,7 +541,7 @@ def _left(columns: FloatArray, data: FloatArray) -> tuple[float, int]:
 
 def _displacement(
     found: _Arrivals, point: Point, others: BoolArray, delays: FloatArray
-) -> _Verdicts:
+) -> _Findings:
     delay_m, *_ = np.linalg.lstsq(delays[others], found.late_m[others], rcond=None)
     rest_m = (found.late_m - delays @ delay_m)[~others]
     size_m = float(np.max(np.abs(rest_m)))  # no path changes by more than its end moves
@@ -575,5 +563,4 @@ def _displacement(
     sd_m = round(size_m, 2)
     opened = Remedy([Edit((f"{kind}s", name), "position_sd", sd_m)])
     remedies = [opened] if sd_m <= 1.0 else []  # else to be measured again
-    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence, remedies=remedies)
-    return (ArrivalVerdict(finding),)
+    return (Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence, remedies=remedies),)

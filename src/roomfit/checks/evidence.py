@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from roomfit.base.findings import About, Edit, Finding, Remedy
 from roomfit.base.typing import BoolArray, FloatArray
@@ -20,21 +20,12 @@ from roomfit.signals.measurement import Measurement
 UNDECIDED = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class ArrivalVerdict:
-    """One cause of arrivals that contradict the geometry, and how clocks are to be set for it."""
-
-    finding: Finding
-    late_s: float = 0.0  # to be added to the latency of the finding's files
-    time_zero: Literal["direct"] | None = None  # of all files, in place of "emission"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
     """What checks before a fit may look at."""
 
     measured: Measurements
-    arrivals: tuple[ArrivalVerdict, ...]  # why direct sounds do not arrive when they should
+    arrivals: tuple[Finding, ...]  # why direct sounds do not arrive when they should
 
 
 @dataclass(frozen=True, slots=True, eq=False)

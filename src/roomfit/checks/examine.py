@@ -120,7 +120,7 @@ def recorded(
         if error.where not in {m.where for m in responses}:
             raise
         own = measured_scene(scene, measurements)
-        causes = arrivals.arrival_verdicts(own, counted_once(own, responses)[0])
+        causes = arrivals.arrival_findings(own, counted_once(own, responses)[0])
         if not causes:
             raise
         raise InputError(
@@ -128,10 +128,10 @@ def recorded(
             where=error.where,
             found=error.found,
             needed=error.needed,
-            hint=" ".join(cause.finding.sentence for cause in causes),
+            hint=" ".join(cause.sentence for cause in causes),
         ) from error
     responses = [m.measurement for m in measured.responses]
-    return Recorded(measured, arrivals.arrival_verdicts(measured.scene, responses))
+    return Recorded(measured, arrivals.arrival_findings(measured.scene, responses))
 
 
 def fitted_evidence(

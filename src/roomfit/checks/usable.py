@@ -14,7 +14,7 @@ from roomfit.base.findings import Code, Finding
 from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks import room
-from roomfit.checks.arrivals import arrival_verdicts, with_corrected_clocks
+from roomfit.checks.arrivals import arrival_findings, with_corrected_clocks
 from roomfit.checks.evidence import Recorded, about_files
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.fit.measurements import measured_scene, median_decay_s
@@ -104,10 +104,9 @@ def check_recordings(
     """
     own = measured_scene(scene, measurements)
     given = [m for m in measurements if isinstance(m, Measurement)]
-    verdicts = arrival_verdicts(own, given)
-    causes = tuple(v.finding for v in verdicts)
+    causes = arrival_findings(own, given)
     # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
-    advised = with_corrected_clocks(given, verdicts)
+    advised = with_corrected_clocks(given, causes)
     values = [m for m in measurements if isinstance(m, MeasuredValues)]
     refused: dict[Measurement, InputError] = {}
     found: Recorded | None = None

@@ -18,18 +18,15 @@ import numpy as np
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.forks import in_forks
 from roomfit.base.logit import logit
-from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.base.typing import FloatArray
+from roomfit.fit.choice import choose
 from roomfit.fit.fits import BandFits, Displacement, FittedGeometry
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.scattering import band_factors
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.model.binned import once
-from roomfit.model.directivity import (
-    directed_band,
-    row_bases,
-    with_directivities,
-)
+from roomfit.model.directivity import directed_band, row_bases, with_directivities
 from roomfit.model.early import DisplacedTerm, FixedPaths, displaced_term, fixed_paths
 from roomfit.model.observation import DEFAULT_POSITION_SD_M, energy_terms, fitted_in_band
 from roomfit.model.parameters import (
@@ -46,15 +43,16 @@ from roomfit.room.scene import (
     NEAREST_PAIR_M,
     NEAREST_WALL_M,
     Point,
+    Room,
     Scene,
     distances_m,
     position_findings,
 )
-from roomfit.signals.filters import SpreadingKernel, spreading_kernel
+from roomfit.signals.filters import spreading_kernel
 from roomfit.signals.measurement import MeasuredPair
 from roomfit.solver import score_band
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths
+from roomfit.tracing.paths import TraceSettings
 
 # Below it a window is longer than what a displacement does to a reflection.
 _LEAST_HZ = 400.0
@@ -75,7 +73,7 @@ _WALL_SD_M = 0.035
 LEAST_GAIN = 10.0
 # Lower bands regained at most 5 of what higher ones lost: decision 0040.
 _RULED_OUT = 50.0
-_GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
+_GRID_M = np.outer([-1.0, 1.0], [0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2]).ravel()
 # A stated offset is sought at least so far about the best of the grid, to within 2 mm.
 _LEAST_REACH_M, _NEAR_M = 0.06, 2e-3
 _STEP_M = 0.04
@@ -175,160 +173,17 @@ def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> S
     return replace(scene, room=room, sources=sources, receivers=receivers)
 
 
-def _is_possible(scene: Scene) -> bool:
-    """Whether all positions stay in the air of the room."""
-    box_m = scene.room.shoebox_m
-    if box_m is None:
-        return not position_findings(scene.room, scene.sources, scene.receivers)
-    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
-    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
-    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DisplacementBand:
-    """One band of a model: what stays, and where its fit starts."""
+class _Band(NamedTuple):
+    """One band: what stays, where its fit starts, and the recording of each observation."""
 
     band: int
     kept: FixedPaths
     parameters: Parameters
     start: FloatArray  # (n_free,)
-    attenuation_per_m: float
-    files: tuple[MeasuredPair, ...]  # one an observation
+    files: tuple[MeasuredPair, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DisplacementModel:
-    """A fitted room whose early image sources can be displaced."""
-
-    measured: Measurements
-    traced: TracedPaths
-    offsets: tuple[Offset, ...]
-    moved_m: FloatArray  # (n_offsets,), where the scene already differs from the specified one
-    until_s: float
-    order: int
-    kernel: SpreadingKernel
-    bands: tuple[DisplacementBand, ...]  # the highest first
-
-
-def displacement_model(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    traced: TracedPaths,
-    fits: BandFits,
-    offsets: tuple[Offset, ...],
-    moved_m: FloatArray,
-) -> DisplacementModel | None:
-    """Return what is needed to displace a fitted room; None where there is too little to go by."""
-    scene, bands, paths = measured.scene, measured.bands, traced.paths
-    if not offsets or not _determines_positions(measured, traced):
-        return None
-    c = speed_of_sound_m_s(scene.air)
-    reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
-    order = min(_ORDER, traced.settings.image_order)
-    limits_s = traced.settings.duration_s, traced.settings.image_until_s
-    until_s = min(reach_m / c, *(s for s in limits_s if s is not None))
-    moves = _early_images(paths, c * until_s, order)
-    air, answers, unknown = attenuation_per_m(scene.air, bands), fits.answers, fits.unknown_sources
-    start = np.array([float(np.mean(a.absorption)) for a in answers])
-    responses = _with_gains_of_their_own(measured.responses)
-    finer = {"periods": _PERIODS, "fine_s": _FINE_S}
-    made = energy_terms(scene, bands, priors, responses, traced.binned, start, **finer)
-    bases = None
-    if unknown is not None:
-        bases = row_bases(unknown, scene, paths, traced.binned, ~moves)
-    out = []
-    for band, own in enumerate(made):
-        if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
-            continue
-        (term, parameters), files = own, fitted_in_band(responses, band)
-        ends = scene.pairs[[m.pair for m in files]]
-        term = replace(
-            term,
-            rows=once(ends, (taken_rows(r, np.flatnonzero(~moves[r.path])) for r in term.rows)),
-        )
-        directivity, b = None, np.zeros((0, 3))
-        if unknown is not None and bases is not None:
-            directivity = directed_band(unknown, scene, bases, term, files)
-            b = np.stack([d.b[band] for d in fits.directivities])
-            parameters = with_directivities(parameters, directivity.unknown)
-        parameters = _starting_at(parameters, answers[band].absorption)
-        vector = start_vector(parameters)
-        if directivity is not None:
-            free = b.ravel() - directivity.unknown.mean
-            vector[-b.size :] = np.linalg.solve(directivity.unknown.root, free)
-        values, _ = physical_values(parameters, vector)
-        kept = fixed_paths(term, directivity, values["absorption"], b)
-        out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
-        del own, term, directivity  # as large as the paths, before the next band has its own
-        trim_memory()
-    if not out:
-        return None
-    how = until_s, order, spreading_kernel(bands)
-    return DisplacementModel(measured, traced, offsets, moved_m, *how, tuple(out[::-1]))
-
-
-def _determines_positions(measured: Measurements, traced: TracedPaths) -> bool:
-    """Whether there are responses and early images enough, and few walls to look them up on."""
-    mesh = measured.scene.room.mesh
-    n_fitted = sum(m.measurement.use == "fit" for m in measured.responses)
-    has_few_walls = len(mesh.triangles) <= _MOST_TRIANGLES or box_of(mesh) is not None
-    return n_fitted >= _FEWEST_RESPONSES and has_few_walls and traced.settings.image_order >= 1
-
-
-def _early_images(paths: Paths, longest_m: float, order: int) -> BoolArray:
-    """Return which paths are of image sources so near and of so few reflections, (n_paths,)."""
-    found = (paths.batch < 0) & (paths.length_m <= longest_m)
-    met = paths.hits_specular[found] + paths.hits_diffuse[found]
-    found[found] = met.sum(axis=1) <= order
-    return found
-
-
-def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:
-    """Return responses of which none shares its unknown gain with another.
-
-    Levels differ by what is no displacement: files that were normalised singly, a loudspeaker
-    that radiates less one way. Arrivals and levels within a response say where its images are.
-    """
-    return tuple(
-        replace(m, measurement=replace(m.measurement, level="per-file"))
-        if m.measurement.level == "per-source"
-        else m
-        for m in responses
-    )
-
-
-def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
-    block = absorption_of(parameters)
-    margin = 1e-3 * (block.upper - block.lower)
-    inside = np.clip(absorption, block.lower + margin, block.upper - margin)
-    own = replace(block, start=np.where(block.fitted, inside, block.start))
-    return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
-
-
-def displaced_terms(model: DisplacementModel, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
-    """Return the windows of every band with the offsets moved on by so much, made one by one."""
-    before, traced = model.measured.scene, model.traced
-    scene = displaced(before, model.offsets, shift_m)
-    c = speed_of_sound_m_s(scene.air)
-    thinned = Scattering(traced.paths.materials, traced.paths.sampling_scattering)
-    images = trace_images(scene, model.order, model.until_s, thinned)
-    bands, directivities = model.measured.bands, model.measured.directivities
-    factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
-    farther_m = distances_m(scene) - distances_m(before)
-    for own in model.bands:
-        weight = images.weight_per_m2 * np.exp(-own.attenuation_per_m * images.length_m)
-        if factors is not None:
-            weight *= factors[own.band]
-        # a response whose emission is not known stands with its direct sound where this was put
-        late_m = np.array(
-            [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
-        )
-        times_s = (images.length_m - late_m[:, None]) / c
-        yield displaced_term(own.kept, images, times_s, weight, (model.kernel, own.band))
-
-
-class _LogL:
+class _EarlyWindows:
     """The log-likelihood of offsets with absorption, gains and directivity near the best.
 
     Minus infinity where a point leaves the room; roughly also where high bands rule it out, so that
@@ -337,10 +192,20 @@ class _LogL:
     count as for absorption.
     """
 
-    def __init__(self, model: DisplacementModel) -> None:
-        self.model, self.known = model, dict[bytes, float]()
-        self.vectors, self.least = [b.start for b in model.bands], [-np.inf] * len(model.bands)
-        none = np.zeros(len(model.offsets))
+    def __init__(
+        self,
+        measured: Measurements,
+        traced: TracedPaths,
+        offsets: tuple[Offset, ...],
+        moved_m: FloatArray,
+        bands: Sequence[_Band],
+    ) -> None:
+        self.measured, self.traced, self.offsets, self.bands = measured, traced, offsets, bands
+        self.moved_m = moved_m  # (n_offsets,), where the scene already differs from the specified
+        self.kernel, self.unit = spreading_kernel(measured.bands), np.eye(len(offsets))
+        self.known: dict[bytes, float] = {}
+        self.vectors, self.least = [b.start for b in bands], [-np.inf] * len(bands)
+        none = np.zeros(len(offsets))
         self.known[_rounded(none)] = self.evaluated(none, False, 12)
 
     def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float:
@@ -356,13 +221,22 @@ class _LogL:
         values = in_forks(lambda s: self.evaluated(s, True, 2), list(asked.values()))
         self.known |= dict(zip(asked, values, strict=True))
 
+    def is_possible(self, shift_m: FloatArray) -> bool:
+        """Whether all positions stay in the air of the room."""
+        scene = displaced(self.measured.scene, self.offsets, shift_m)
+        box_m = scene.room.shoebox_m
+        if box_m is None:
+            return not position_findings(scene.room, scene.sources, scene.receivers)
+        points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
+        inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
+        return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
+
     def evaluated(self, shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
-        model = self.model
-        if not _is_possible(displaced(model.measured.scene, model.offsets, shift_m)):
+        if not self.is_possible(shift_m):
             return -np.inf
         total = 0.0
-        for i, term in enumerate(displaced_terms(model, shift_m)):
-            objective = Objective(model.bands[i].parameters, (term,))
+        for i, term in enumerate(self.terms(shift_m)):
+            objective = Objective(self.bands[i].parameters, (term,))
             fit = score_band(objective, self.vectors[i], max_rounds=max_rounds)
             prior, _ = prior_residuals(objective.parameters, fit.vector)
             n = float(np.sum(1.0 / objective.correlation_length()))
@@ -375,6 +249,26 @@ class _LogL:
                 return -np.inf
         return total
 
+    def terms(self, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
+        """Return the windows of every band with the offsets moved on by so much, one by one."""
+        before, traced, bands = self.measured.scene, self.traced, self.measured.bands
+        scene = displaced(before, self.offsets, shift_m)
+        c, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)
+        thinned = Scattering(traced.paths.materials, traced.paths.sampling_scattering)
+        images = trace_images(scene, *_order_and_end_s(before, traced.settings), thinned)
+        directivities = self.measured.directivities
+        factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
+        farther_m = distances_m(scene) - distances_m(before)
+        for own in self.bands:
+            weight = images.weight_per_m2 * np.exp(-float(air_per_m[own.band]) * images.length_m)
+            if factors is not None:
+                weight *= factors[own.band]
+            # a response whose emission is not known stands with its direct sound where that was put
+            is_timed = np.array([m.measurement.time_zero == "emission" for m in own.files])
+            late_m = np.where(is_timed, 0.0, farther_m[[m.pair for m in own.files]])
+            times_s = (images.length_m - late_m[:, None]) / c
+            yield displaced_term(own.kept, images, times_s, weight, (self.kernel, own.band))
+
 
 LogL: TypeAlias = Callable[..., float]
 """Log-likelihood of a vector of offsets in m, roughly where the second argument says so."""
@@ -384,84 +278,171 @@ def _rounded(shift_m: FloatArray) -> bytes:
     return np.round(shift_m, 4).tobytes()
 
 
+def _order_and_end_s(scene: Scene, settings: TraceSettings) -> tuple[int, float]:
+    """Return up to which order and until when image sources move."""
+    reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
+    limits_s = (s for s in (settings.duration_s, settings.image_until_s) if s is not None)
+    return min(_ORDER, settings.image_order), min(
+        reach_m / speed_of_sound_m_s(scene.air), *limits_s
+    )
+
+
+def _early_windows(
+    measured: Measurements, priors: tuple[MaterialPrior, ...], traced: TracedPaths, fits: BandFits
+) -> list[_Band]:
+    """Return the bands in which early images can be told, the highest first.
+
+    None where responses or early images are too few, or walls too many to look images up on.
+    """
+    scene, bands, paths, mesh = (
+        measured.scene,
+        measured.bands,
+        traced.paths,
+        measured.scene.room.mesh,
+    )
+    has_few_walls = len(mesh.triangles) <= _MOST_TRIANGLES or box_of(mesh) is not None
+    n_fitted = sum(m.measurement.use == "fit" for m in measured.responses)
+    order, end_s = _order_and_end_s(scene, traced.settings)
+    if n_fitted < _FEWEST_RESPONSES or not has_few_walls or order < 1:
+        return []
+    moves = (paths.batch < 0) & (paths.length_m <= speed_of_sound_m_s(scene.air) * end_s)
+    met = paths.hits_specular[moves] + paths.hits_diffuse[moves]
+    moves[moves] = met.sum(axis=1) <= order
+    # levels differ by what is no displacement, files that were normalised singly or a loudspeaker
+    # that radiates less one way: each response gets a gain of its own
+    responses = tuple(
+        replace(m, measurement=replace(m.measurement, level="per-file"))
+        if m.measurement.level == "per-source"
+        else m
+        for m in measured.responses
+    )
+    answers, unknown = fits.answers, fits.unknown_sources
+    start = np.array([float(np.mean(a.absorption)) for a in answers])
+    finer = {"periods": _PERIODS, "fine_s": _FINE_S}
+    made = energy_terms(scene, bands, priors, responses, traced.binned, start, **finer)
+    bases = None if unknown is None else row_bases(unknown, scene, paths, traced.binned, ~moves)
+    out: list[_Band] = []
+    for band, own in enumerate(made):
+        if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
+            continue
+        (term, parameters), files = own, fitted_in_band(responses, band)
+        ends = scene.pairs[[m.pair for m in files]]
+        kept = (taken_rows(r, np.flatnonzero(~moves[r.path])) for r in term.rows)
+        term = replace(term, rows=once(ends, kept))
+        directivity, b = None, np.zeros((0, 3))
+        if unknown is not None and bases is not None:
+            directivity = directed_band(unknown, scene, bases, term, files)
+            b = np.stack([d.b[band] for d in fits.directivities])
+            parameters = with_directivities(parameters, directivity.unknown)
+        parameters = _starting_at(parameters, answers[band].absorption)
+        vector = start_vector(parameters)
+        if directivity is not None:
+            free = b.ravel() - directivity.unknown.mean
+            vector[-b.size :] = np.linalg.solve(directivity.unknown.root, free)
+        values, _ = physical_values(parameters, vector)
+        fixed = fixed_paths(term, directivity, values["absorption"], b)
+        out.append(_Band(band, fixed, parameters, vector, files))
+        del own, term, directivity  # as large as the paths, before the next band has its own
+        trim_memory()
+    return out[::-1]
+
+
+def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
+    block = absorption_of(parameters)
+    margin = 1e-3 * (block.upper - block.lower)
+    inside = np.clip(absorption, block.lower + margin, block.upper - margin)
+    own = replace(block, start=np.where(block.fitted, inside, block.start))
+    return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
+
+
 class Located(NamedTuple):
     """The most likely offsets."""
 
+    windows: _EarlyWindows
     shift_m: FloatArray  # (n_offsets,), from the specified scene
     sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
     beyond: Displacement | None  # what is displaced farther than specified
 
 
-def located(model: DisplacementModel) -> Located:
-    """Return the most likely offsets, and what is farther off than specified."""
-    offsets, logl = model.offsets, _LogL(model)
+def located(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    fits: BandFits,
+    offsets: tuple[Offset, ...],
+    moved_m: FloatArray,
+) -> Located | None:
+    """Return the most likely offsets of a fitted room, and what is farther off than specified.
+
+    None where there is too little to go by. Shapes: `moved_m` (n_offsets,), by which the scene
+    already differs from the specified one.
+    """
+    bands = _early_windows(measured, priors, traced, fits) if offsets else []
+    if not bands:
+        return None
+    logl = _EarlyWindows(measured, traced, offsets, moved_m, bands)
     stated = [k for k, o in enumerate(offsets) if o.is_stated]
     sd_m = np.array([o.sd_m if o.is_stated else o.tolerance_m for o in offsets])
 
     def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
-        return logl(shift_m, roughly) - 0.5 * float(np.sum(((model.moved_m + shift_m) / sd_m) ** 2))
+        return logl(shift_m, roughly) - 0.5 * float(np.sum(((moved_m + shift_m) / sd_m) ** 2))
 
-    shift_m = np.zeros(len(offsets))
-    logl.foresee(_about(shift_m, sd_m))
-    shift_m = _swept(posterior, shift_m, sd_m)
-    for _ in range(len(offsets) if stated else 0):
-        at = _stated_step(model, posterior, shift_m)
-        if at is None:
-            break
+    at = np.zeros(len(offsets))
+    for _ in range(1 + (len(offsets) if stated else 0)):
         logl.foresee(_about(at, sd_m))
         shift_m = _swept(posterior, at, sd_m)
+        at = _stated_step(offsets, posterior, shift_m)
+        if at is shift_m:
+            break
     found_sd_m = np.array([o.sd_m for o in offsets])
     for k in (*stated, *stated):
         shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
     if stated:
-        covariance = _covariance(posterior, shift_m, stated, sd_m[stated])
+        covariance = _covariance(posterior, shift_m, logl.unit[stated], sd_m[stated])
         found_sd_m[stated] = np.sqrt(np.diag(covariance))
-    beyond = _implausible(model, logl, shift_m)
+    beyond = _implausible(logl, shift_m)
     if beyond is None:
-        far_m = _farthest(model, logl, shift_m)
-        beyond = None if far_m is None else _named(model, logl, shift_m, far_m)
-    return Located(model.moved_m + shift_m, found_sd_m, beyond)
+        far_m = _farthest(logl, shift_m)
+        beyond = None if far_m is None else _named(logl, shift_m, far_m)
+    return Located(logl, moved_m + shift_m, found_sd_m, beyond)
 
 
-def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> BandFits:
+def with_offsets(fits: BandFits, found: Located) -> BandFits:
     """Return fits with what is displaced, and with the offsets that were fitted in the geometry.
 
     With the covariance of what is left open of these offsets.
     """
-    own = np.flatnonzero([o.is_stated for o in model.offsets])
+    windows, offsets = found.windows, found.windows.offsets
+    own = np.flatnonzero([o.is_stated for o in offsets])
     fits = replace(fits, displacement=found.beyond)
     if not own.size:
         return fits
     none = np.zeros(0)
-    speed = speed_of_sound_m_s(model.measured.scene.air)
+    speed = speed_of_sound_m_s(windows.measured.scene.air)
     before = fits.geometry or FittedGeometry((), none, none, none, speed)
     geometry = replace(
         before,
-        labels=(*before.labels, *(model.offsets[k].label for k in own)),
-        change=np.concatenate((before.change, model.moved_m[own])),
+        labels=(*before.labels, *(offsets[k].label for k in own)),
+        change=np.concatenate((before.change, windows.moved_m[own])),
         sd=np.concatenate((before.sd, found.sd_m[own])),
-        prior_sd=np.concatenate((before.prior_sd, [model.offsets[k].sd_m for k in own])),
+        prior_sd=np.concatenate((before.prior_sd, [offsets[k].sd_m for k in own])),
         n_offsets=own.size,
     )
-    added = {band: s @ s.T for band, s in offset_steps(model, found.sd_m).items()}
+    added = {band: s @ s.T for band, s in _offset_steps(windows, np.diag(found.sd_m)[own]).items()}
     return replace(fits, geometry=geometry, added=added)
 
 
-def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatArray]:
-    """Return how far the logit absorption of a band moves by one sd of each stated offset.
+def _offset_steps(windows: _EarlyWindows, ways_m: FloatArray) -> dict[int, FloatArray]:
+    """Return how far the logit absorption of a band moves by each way, (n_materials, n_ways).
 
-    Half the difference of fits of the early windows with the offset one standard deviation to
-    either side. Bands that are too low to be looked at do not move.
-
-    Shape (n_materials, n_stated). Shapes: `sd_m` (n_offsets,).
+    Half the difference of fits of the early windows moved to either side.
     """
-    ways = np.diag(sd_m)[[o.is_stated for o in model.offsets]]
-    n = len(model.measured.scene.room.materials)
-    found = {own.band: np.zeros((n, len(ways))) for own in model.bands}
-    for number, way in enumerate(ways):
-        sides = [displaced(model.measured.scene, model.offsets, s * way) for s in (-1.0, 1.0)]
-        for sign in (-1.0, 1.0) if all(_is_possible(scene) for scene in sides) else ():
-            for own, term in zip(model.bands, displaced_terms(model, sign * way), strict=True):
+    n = len(windows.measured.scene.room.materials)
+    found = {own.band: np.zeros((n, len(ways_m))) for own in windows.bands}
+    for number, way_m in enumerate(ways_m):
+        is_possible = all(windows.is_possible(sign * way_m) for sign in (-1.0, 1.0))
+        for sign in (-1.0, 1.0) if is_possible else ():
+            for own, term in zip(windows.bands, windows.terms(sign * way_m), strict=True):
                 fit = score_band(Objective(own.parameters, (term,)), own.start, max_rounds=12)
                 values, _ = physical_values(own.parameters, fit.vector)
                 found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
@@ -519,34 +500,33 @@ def _parabola(logl: LogL, at: FloatArray, way: FloatArray, here: float) -> float
     return float(_STEP_M * slope / curvature)
 
 
-def _stated_step(
-    model: DisplacementModel, posterior: LogL, shift_m: FloatArray
-) -> FloatArray | None:
+def _stated_step(offsets: Sequence[Offset], posterior: LogL, shift_m: FloatArray) -> FloatArray:
     """Return offsets with one that is stated a step of the grid away, where that is likelier."""
     trials = [
         shift_m + d * way
-        for way, offset in zip(np.eye(shift_m.size), model.offsets, strict=True)
-        for d in (*-_GRID_M, *_GRID_M)
+        for way, offset in zip(np.eye(shift_m.size), offsets, strict=True)
+        for d in _GRID_M
         if offset.is_stated and abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m
     ]
-    values, here = [posterior(t, True) for t in trials], posterior(shift_m)
-    is_likelier = bool(values) and max(values) > here + 0.5
-    return trials[int(np.argmax(values))] if is_likelier else None
+    values = [posterior(t, True) for t in trials]
+    alternatives = [shift_m, *trials]
+    likelier, _ = choose(alternatives, [posterior(shift_m), *values], 0.0, least_gain=0.5)
+    return np.asarray(likelier)
 
 
-def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> FloatArray | None:
+def _farthest(logl: _EarlyWindows, shift_m: FloatArray) -> FloatArray | None:
     """Return where one offset is beyond what is specified and gains most, None where none gains.
 
     Over its axis as specified; less likely than what is within the specified, it is nowhere. What
     was to stay within the specified may have gone beyond it step by step: then that is far.
     """
-    offsets, inside, best, at = model.offsets, logl(shift_m), LEAST_GAIN, None
+    offsets, inside, best, at = logl.offsets, logl(shift_m), LEAST_GAIN, None
     axes = np.array([o.axis for o in offsets])
-    starts_m = np.where(axes[:, None] == axes, -model.moved_m, shift_m)
+    starts_m = np.where(axes[:, None] == axes, -logl.moved_m, shift_m)
     trials = [
         (offset, start_m, d, start_m + d * way)
-        for offset, start_m, way in zip(offsets, starts_m, np.eye(shift_m.size), strict=True)
-        for d in (*-_GRID_M, *_GRID_M)
+        for offset, start_m, way in zip(offsets, starts_m, logl.unit, strict=True)
+        for d in _GRID_M
         if abs(d) > offset.plausible_m
     ]
     logl.foresee([trial for *_, trial in trials])
@@ -555,35 +535,31 @@ def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> Flo
         gain = found - logl(start_m) + offset.log_prior(d)
         if found > inside and gain > best:
             best, at = gain, trial
-    went = np.abs(model.moved_m + shift_m) > [o.plausible_m for o in offsets]
+    went = np.abs(logl.moved_m + shift_m) > [o.plausible_m for o in offsets]
     is_free = [not o.is_stated for o in offsets]
     return shift_m if at is None and np.any(went & is_free) else at
 
 
-def _named(
-    model: DisplacementModel, logl: LogL, inside_m: FloatArray, far_m: FloatArray
-) -> Displacement | None:
+def _named(logl: _EarlyWindows, inside_m: FloatArray, far_m: FloatArray) -> Displacement | None:
     """Return the significant displacement after refinement, or None.
 
     All positions that move, a box that is longer, and a wall at the origin that stands elsewhere
     differ by which of two opposite walls is nearer or farther: the likeliest of them is named, its
     axis otherwise as specified.
     """
-    offsets, unit = model.offsets, np.eye(inside_m.size)
-    axis = offsets[int(np.argmax(np.abs(far_m + model.moved_m)))].axis
+    offsets, scene = logl.offsets, logl.measured.scene
+    axis = offsets[int(np.argmax(np.abs(far_m + logl.moved_m)))].axis
     along = [k for k, o in enumerate(offsets) if o.axis == axis]
-    scene = model.measured.scene
     every = tuple(frozenset(p.name for p in points) for points in (scene.sources, scene.receivers))
     whole = [k for k in along if (offsets[k].sources, offsets[k].receivers) == every]
     lengths = [k for k in along if not offsets[k].group]
     start_m = np.array(inside_m)
-    start_m[along] = -model.moved_m[along]
-    ways = [(k, unit[k]) for k in along]
-    if whole and lengths:
-        ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
-    trials = [
-        (logl(start_m + d * w, True), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)
-    ]
+    start_m[along] = -logl.moved_m[along]
+    pair = [whole[0], lengths[0]] if whole and lengths else []
+    ways = [(k, logl.unit[k]) for k in along]
+    if pair:
+        ways.append((-1, logl.unit[pair[0]] + logl.unit[pair[1]]))
+    trials = [(logl(start_m + d * w, True), k, d, w) for k, w in ways for d in _GRID_M]
     value, k, size_m, way = max(trials, key=lambda t: t[0])
     if not np.isfinite(value):  # no single displacement keeps the high bands
         return None
@@ -598,54 +574,56 @@ def _named(
     is_far = abs(size_m) > offset.plausible_m
     if not is_far or gain + offset.log_prior(size_m) <= LEAST_GAIN:
         return None
-    found = _displacement(model, k, axis, float(size_m), _sd_along(logl, shift_m, way), gain)
-    if not (whole and lengths):
+    found = _displacement(logl, k, shift_m, way, float(size_m), gain, axis)
+    if not pair:
         return found
-    pair = [whole[0], lengths[0]]
-    covariance = _covariance(logl, shift_m, pair, np.full(2, 10.0))
+    covariance = _covariance(logl, shift_m, logl.unit[pair], np.full(2, 10.0))
     ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
-    ends_m = ends @ (model.moved_m + shift_m)[pair]
+    ends_m = ends @ (logl.moved_m + shift_m)[pair]
     deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
     each = zip(found.walls, ends_m.tolist(), deviations_m.tolist(), strict=True)
     farther_m = {w: (round(x, 3), round(s, 3)) for w, x, s in each if s < WORTH_TELLING_M}
     return replace(found, farther_m=farther_m)
 
 
-def _displacement(
-    model: DisplacementModel, k: int, axis: int, size_m: float, sd_m: float, gain: float
-) -> Displacement:
-    """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
-    offset, walls = model.offsets[k], _walls(model, axis)
-    if k < 0:
-        what = "wall", frozenset[str](), axis, size_m, sd_m, LENGTH_SD_M
-    else:
-        points = offset.sources | offset.receivers
-        what = offset.group or "length", points, axis, size_m, sd_m, offset.sd_m
-    return Displacement(*what, gain, walls, None)
-
-
-def _implausible(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> Displacement | None:
+def _implausible(logl: _EarlyWindows, shift_m: FloatArray) -> Displacement | None:
     """Return the stated offset that had to move farthest beyond what is plausible."""
-    total_m = model.moved_m + shift_m
-    limits_m = [o.plausible_m if o.is_stated else np.inf for o in model.offsets]
+    total_m = logl.moved_m + shift_m
+    limits_m = [o.plausible_m if o.is_stated else np.inf for o in logl.offsets]
     k = int(np.argmax(np.abs(total_m) / limits_m))
-    way = np.eye(total_m.size)[k]
-    if abs(total_m[k]) <= limits_m[k]:
+    way, size_m = logl.unit[k], float(total_m[k])
+    if abs(size_m) <= limits_m[k]:
         return None
-    gain = logl(shift_m) - logl(shift_m - total_m[k] * way)
+    gain = logl(shift_m) - logl(shift_m - size_m * way)
     if gain <= LEAST_GAIN:
         return None
-    sd_m = _sd_along(logl, shift_m, way)
-    return _displacement(model, k, model.offsets[k].axis, float(total_m[k]), sd_m, gain)
+    return _displacement(logl, k, shift_m, way, size_m, gain, logl.offsets[k].axis)
 
 
-def _walls(model: DisplacementModel, axis: int) -> tuple[str, ...]:
+def _displacement(
+    logl: _EarlyWindows,
+    k: int,
+    at: FloatArray,
+    way: FloatArray,
+    size_m: float,
+    gain: float,
+    axis: int,
+) -> Displacement:
+    """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
+    sd_m = float(np.sqrt(_covariance(logl, at, way[None], np.full(1, 10.0))[0, 0]))
+    walls = _walls(logl.measured.scene.room, axis)
+    if k < 0:
+        none = frozenset[str]()
+        return Displacement("wall", none, axis, size_m, sd_m, LENGTH_SD_M, gain, walls, None)
+    own = logl.offsets[k]
+    kind, points = own.group or "length", own.sources | own.receivers
+    return Displacement(kind, points, axis, size_m, sd_m, own.sd_m, gain, walls, None)
+
+
+def _walls(room: Room, axis: int) -> tuple[str, ...]:
     """Return the names of a box's walls at both ends of an axis; none of another room."""
-    room = model.measured.scene.room
-    if room.shoebox_m is None:
-        return ()
     names = []
-    for i in (2 * axis, 2 * axis + 1):
+    for i in (2 * axis, 2 * axis + 1) if room.shoebox_m is not None else ():
         surface, material = room.mesh.surfaces[i].name, room.surface_material[i]
         is_alone = np.count_nonzero(room.surface_material == material) == 1
         known = room.materials[material]
@@ -653,19 +631,10 @@ def _walls(model: DisplacementModel, axis: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _sd_along(logl: LogL, at: FloatArray, way: FloatArray) -> float:
-    """Return the standard deviation along a way in m, at most 10."""
-    here, ahead, behind = logl(at), logl(at + _APART_M * way), logl(at - _APART_M * way)
-    curvature = (2.0 * here - ahead - behind) / _APART_M**2
-    return float(1.0 / np.sqrt(max(curvature if np.isfinite(curvature) else 0.0, 1e-2)))
-
-
-def _covariance(
-    logl: LogL, at: FloatArray, entries: Sequence[int], prior_sd_m: FloatArray
-) -> FloatArray:
-    """Return the covariance of some offsets, the others fixed, by second differences."""
-    h, n = _APART_M, len(entries)
-    ways = h * np.eye(at.size)[list(entries)]
+def _covariance(logl: LogL, at: FloatArray, ways: FloatArray, prior_sd_m: FloatArray) -> FloatArray:
+    """Return the covariance along some ways, all else fixed, by second differences."""
+    h, n = _APART_M, len(ways)
+    ways = h * ways
     here = logl(at)
     ahead, behind = [logl(at + w) for w in ways], [logl(at - w) for w in ways]
     hessian = np.zeros((n, n))
