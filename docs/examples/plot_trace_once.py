@@ -38,7 +38,7 @@ figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for alpha, colour in ((0.05, "#0072B2"), (0.3, "#D55E00"), (0.8, "#009E73")):
     absorption = np.full((len(room.materials), 1), 0.1)
     absorption[carpet] = alpha
-    energy = weigh(rows, absorption, attenuation).energy[0]
+    energy = weigh(rows, absorption, attenuation)[0]
     level_db = 10.0 * np.log10(np.maximum(energy, 1e-12) / energy.max())
     axes.step(1000 * edges_s[:-1], level_db, where="post", color=colour, label=f"carpet {alpha:g}")
 axes.set(xlabel="time after emission (ms)", ylabel="energy of 10 ms (dB)", ylim=(-60, 3))

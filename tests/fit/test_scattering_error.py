@@ -59,10 +59,8 @@ def test_the_error_is_the_change_of_the_energies_with_the_coefficient():
             [
                 o.spreading
                 @ weigh(
-                    first_rows(coarse.rows[o.pair], o.spreading.shape[1]),
-                    absorption[:, None],
-                    air,
-                ).energy[0]
+                    first_rows(coarse.rows[o.pair], o.spreading.shape[1]), absorption[:, None], air
+                )[0]
                 for o in term.observations
             ]
         )

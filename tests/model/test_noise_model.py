@@ -194,7 +194,7 @@ def test_the_variance_by_rays_is_the_scatter_of_other_rays():
             batch[order].astype(np.int32),
             n_batches,
         )
-        total = weigh(rows, np.zeros((1, 1)), np.zeros(1), derivative=False).energy[0]
+        total = weigh(rows, np.zeros((1, 1)), np.zeros(1))[0]
         found.append(observed.spreading @ total)
         if len(stated) < 60:
             stated.append(tracing_variance(rows, observed, np.zeros((1, 1))))

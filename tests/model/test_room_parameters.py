@@ -403,7 +403,7 @@ def test_pressures_in_a_smooth_box_give_what_is_measured_there():
         curve = decay_curve(bands, ImpulseResponse(pressure, 8000), o.direct_s)
         true = room_parameters(curve).of("T20_s")[0]
         k = at + o.names.index("T20_s")
-        energy = weigh(term.rows[i], truth[:, None], np.zeros(1), derivative=False).energy
+        energy = weigh(term.rows[i], truth[:, None], np.zeros(1))
         curve = curve_by_pressures(term, i, truth, energy)
         by_pressures = value_gradients(curve, 0, o.names)[0][k - at]
         errors.append((model[k] / true - 1.0, by_pressures / true - 1.0))

@@ -71,7 +71,7 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
 
     def energies(s: float) -> list[FloatArray]:
         rows = rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[0]
-        return [weigh(r, none, NO_AIR, derivative=False).energy for r in rows]
+        return [weigh(r, none, NO_AIR) for r in rows]
 
     for low, energy, high in zip(energies(0.299), energies(0.3), energies(0.301), strict=True):
         slope = (high - low) / 0.002
@@ -104,7 +104,7 @@ def test_rays_of_two_groups_bring_the_energies_of_a_trace_with_either(band):
     images = [p.weight_per_m2[p.batch < 0] for p in (own, both)]
     np.testing.assert_allclose(images[1], images[0], rtol=1e-12)
     rows = [energy_rows(p, 0, edges, SPEED_M_S) for p in (own, both)]
-    energy = [weigh(r, absorbed, NO_AIR, derivative=False).energy[0] for r in rows]
+    energy = [weigh(r, absorbed, NO_AIR)[0] for r in rows]
     error = [monte_carlo_sd(r, absorbed, NO_AIR)[0] for r in rows]
     noisy = error[0] > 1e-9 * energy[0]
     assert noisy.sum() > 8

@@ -39,7 +39,7 @@ TENTHS_OF_DB = 10.0 ** (0.2 / 10.0) - 1.0
 def total_energy(paths: Paths, a: FloatArray) -> float:
     """Return the energy of pair 0 at all times, no air."""
     rows = energy_rows(paths, 0, np.array([0.0, 100.0]), SPEED_M_S)
-    return float(weigh(rows, a[:, None], np.zeros(1), derivative=False).energy[0, 0])
+    return float(weigh(rows, a[:, None], np.zeros(1))[0, 0])
 
 
 def their_box(a: FloatArray, **options: Any) -> Any:

@@ -65,7 +65,7 @@ def energies(
 ) -> tuple[FloatArray, FloatArray]:
     """Return window energies of one pair in one band and their standard errors."""
     rows = energy_rows(paths, pair, edges_s, SPEED_M_S)
-    energy = weigh(rows, a[:, None], NO_AIR, derivative=False).energy[0]
+    energy = weigh(rows, a[:, None], NO_AIR)[0]
     return energy, monte_carlo_sd(rows, a[:, None], NO_AIR)[0]
 
 

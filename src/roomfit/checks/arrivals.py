@@ -93,12 +93,8 @@ class _Arrivals:
 def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> _Findings:
     """Return the one cause, if there is one, why direct sounds do not arrive when they should.
 
-    Only recordings whose clock starts at emission are compared. Patterns are tried from the
-    simplest on: every file begins at its direct sound; the likeliest of delays, a scale, and
-    receivers that are displaced together; coordinates in another unit; every file begins long
-    before, each at another instant; two files, or two points, exchanged; one point displaced.
-
-    Several findings where sources have delays of their own, or a delay beside a displaced point.
+    Of recordings whose clock starts at emission, patterns are tried from the simplest on. Several
+    findings where sources have delays of their own, or a delay beside a displaced point.
     """
     found = _arrivals(scene, measurements)
     if found is None:
@@ -193,8 +189,8 @@ class _Explanation(NamedTuple):
 def _likeliest(found: _Arrivals) -> _Findings:
     """Return the likeliest of delays, a scale and displaced receivers that mends all arrivals.
 
-    It must be a thousand times as likely as arrivals by the geometry that err; others whose
-    evidence is within 2 units are named beside it.
+    A thousand times as likely as arrivals by the geometry; others within 2 units are named beside
+    it.
     """
     none = np.zeros((len(found.late_m), 0))
     least = _evidence(found, found.late_m, none, none[0]) - np.log(_LEVEL)
@@ -214,11 +210,9 @@ def _evidence(
     """Return the marginal likelihood's logarithm of unknowns that leave some residuals.
 
     By Laplace's approximation; each unknown has a uniform prior over its range, delays one over
-    the range of their logarithm, which is as dense as a range that grows with them. Arrivals err by
-    Student's t with four degrees of freedom, since onsets of real loudspeakers scatter by more than
-    a centimetre.
-
-    `columns` (n_files, n_unknowns) are derivatives of the arrivals in m, `ranges` (n_unknowns,).
+    that of their logarithm. Arrivals err by Student's t with four degrees of freedom, since onsets
+    of real loudspeakers scatter by more than a centimetre. `columns` (n_files, n_unknowns) are
+    derivatives of the arrivals in m.
     """
     white = _whitening(found)
     chi2, own = float(np.sum((white @ rest_m) ** 2)), white @ columns
@@ -484,8 +478,7 @@ def _two_exchanged(
 def _displaced(found: _Arrivals) -> _Findings:
     """One source or receiver stands elsewhere, the others as specified: chi-square decides.
 
-    Each source may have a delay of its own. To the residuals of all arrivals the three coordinates
-    of one point after the other are fitted.
+    Each source may have a delay; the three coordinates of one point after the other are fitted.
     """
     n = len(found.late_m)
     if n < _FEWEST + 1:

@@ -72,31 +72,14 @@ def decay_misses(
     """Return the bands in which T20, T30 or EDT of the fitted pairs is not reproduced.
 
     Where the mean over pairs of predicted minus measured is 2 just noticeable differences or more,
-    and 3 of its own standard deviations: a single value of a band is random by interference, more
-    so the lower the band. That scatter is the one of ISO 3382-2 for decays by an integrated
-    impulse response [1]_ or, over three pairs and more, the one observed if it is larger. T30 alone
-    does not count: its last decibels lie where next to nothing was fitted, and hang in a room of
-    smooth walls on a few flutter echoes. EDT counts over three pairs and more: near a source the
-    direct sound makes it as short as it likes, which the theory of its scatter leaves out.
+    and 3 of its standard deviations: by ISO 3382-2:2008, A.1 and A.2 with n = 10 (factors of EDT
+    continued by their power of the range), or as observed over three pairs and more. T30 alone does
+    not count: its last decibels hang in a room of smooth walls on a few flutter echoes. EDT counts
+    over three pairs and more: near a source the direct sound makes it as short as it likes.
 
-    Between smooth, parallel walls pressures do not add as energies do: by energies the right
-    absorption may miss the decay by half there. A band that was fitted by pressures is therefore
-    missed only where its own windows, as fitted, miss the same part of their decay, too.
-
-    Parameters
-    ----------
-    pairs : sequence of ComparedPair
-        Those kept for validation are left out.
-    fitted : sequence of bool
-        For each band; others are left out.
-    by_pressures : sequence of mappings from parameter to float array, shape (2, n_files), optional
-        By band, T20 and EDT of the windows of each file, measured and as pressures fit them; none
-        where energies were fitted.
-
-    References
-    ----------
-    .. [1] ISO 3382-2:2008, annex A, equations A.1 and A.2 with n = 10. For EDT the factors are
-           continued by their power of the range of levels.
+    Between smooth, parallel walls pressures do not add as energies do. A band that was fitted by
+    pressures is therefore missed only where its own windows, `by_pressures`, miss the same part,
+    too: by parameter, measured and fitted values of each file, (2, n_files).
     """
     bandwidth_hz, found = bands.upper_hz - bands.lower_hz, []
     for band in np.flatnonzero(fitted).tolist():
@@ -130,11 +113,7 @@ def _is_missed(mean: float, sd: float) -> bool:
 def mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
     """Return a mean over pairs, in JND, and its standard deviation, infinite without pairs.
 
-    Parameters
-    ----------
-    jnd : float array, shape (n_pairs,)
-    scatter : float array, shape (n_pairs,)
-        Relative standard deviation of each decay time by theory.
+    Shapes: `jnd` and `scatter`, the relative standard deviation by theory, (n_pairs,).
     """
     if not jnd.size:
         return 0.0, np.inf
@@ -170,10 +149,7 @@ def _drawn_pairs(measured: Measurements) -> list[int]:
 def _resampled(
     measured: Measurements, binned: BinnedPaths, counts: IntArray, chosen: Sequence[int]
 ) -> BinnedPaths:
-    """Return bins with each batch of rays so many times, of the pairs and bands that are averaged.
-
-    The others stay as they are: all together would be as large as the paths.
-    """
+    """Return bins with each batch of rays so many times, of the averaged pairs and bands."""
     by_band, pairs = binned.by_band, _drawn_pairs(measured)
     centres_hz = [float(measured.bands.centres_hz[band]) for band in chosen if by_band]
     found = {f: list(by_band[f]) for f in centres_hz} if by_band else {0.0: list(binned.rows)}
@@ -196,12 +172,9 @@ def certain_misses(
 ) -> tuple[DecayMiss, ...]:
     """Return the misses that are beyond what the answer's own uncertainty does to the decay.
 
-    The late decay of a room of smooth walls hangs on the least absorbing of them, and on few rays:
-    an answer within its interval, or another trace, may reproduce what the estimate does not. So
-    absorptions are drawn from its law and ray batches with replacement, and the spread of the mean
-    decay time is added to the standard deviation of each miss.
-
-    `logit_covariance`, shape (n_bands, n_materials, n_materials), is 0 where absorption is fixed.
+    The late decay of a room of smooth walls hangs on the least absorbing of them, and on few rays.
+    Absorptions are drawn from their law and ray batches with replacement, and the spread of the
+    mean decay time is added. `logit_covariance` (n_bands, n_materials, n_materials), 0 where fixed.
     """
     if not misses:
         return ()
@@ -244,10 +217,10 @@ def _decays_by_scattering(
     settings: Settings,
     misses: Sequence[DecayMiss],
 ) -> dict[float, FloatArray]:
-    """Return what the same absorption would miss with one scattering or another on all walls.
+    """Return what the same absorption would miss with one scattering on all walls, by coefficient.
 
-    By few rays, of omnidirectional sources: of the parameter that is missed most in each band, in
-    just noticeable differences, (n_misses,); empty where nothing is missed.
+    Of the parameter that is missed most in each band, in JND, by few rays of omnidirectional
+    sources.
     """
     if not misses:
         return {}

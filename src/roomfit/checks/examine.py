@@ -105,13 +105,8 @@ def recorded(
 ) -> Recorded:
     """Return everything that was measured, as checks before a fit look at it.
 
-    Parameters as of `roomfit.fit.measurements.collect_measurements`.
-
-    Raises
-    ------
-    InputError
-        As there; where a response cannot be used, with the one cause of its arrival, if there is
-        one, as what to try.
+    As `roomfit.fit.measurements.collect_measurements`; where a response cannot be used, an
+    `InputError` with the one cause of its arrival, if there is one, as what to try.
     """
     try:
         measured = collect_measurements(scene, measurements, bands, directivities, decay_range_db)

@@ -72,14 +72,10 @@ def check_convergence(evidence: Evidence) -> Iterator[Finding]:
 def check_misfit(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the model misfits most bands.
 
-    One band that fits badly may have its own reason. Where the median of the reduced chi-square
-    over the bands is high, a fault is in what all of them share, the description of the room, and a
-    band whose own value happens to be low is not to be trusted either. In simulated rooms that were
-    described correctly the median was 0.3 to 0.8, with a curtain or an open door forgotten 2.0,
-    with directional loudspeakers taken for omnidirectional 1.2 to 1.6.
-
-    Of two bands both must exceed what the median of three says of two at least: the mean of both
-    would be high for the reasons of one. Bands of room parameters alone, and those without data,
+    One band that fits badly may have its own reason. Where the median is high, a fault is in what
+    all share, the description of the room: 0.3 to 0.8 in simulated rooms that were described
+    correctly, 2.0 with a curtain or an open door forgotten, 1.2 to 1.6 with directional
+    loudspeakers taken for omnidirectional. Of two bands both must be high. Bands without responses
     are left out.
     """
     chi2 = [a.chi2_reduced for a in evidence.fits.answers if a.model in ("coherent", "energy")]
@@ -130,9 +126,7 @@ def check_starts(evidence: Evidence) -> Iterator[Finding]:
 def check_priors(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding for each material whose answer is nearly its prior, and what was assumed.
 
-    Under the default prior an answer that the data do not determine has a wide interval, which
-    needs no finding; a specified prior makes it narrow. Assumed are the broad prior, and that
-    products are alike.
+    Under the default prior such an answer has a wide interval, which needs no finding.
     """
     bands, priors, answers = evidence.measured.bands, evidence.priors, evidence.fits.answers
     specified, sds = are_specified(priors), prior_logits(priors)[1]
@@ -162,9 +156,8 @@ def check_priors(evidence: Evidence) -> Iterator[Finding]:
 def check_mirrors(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding with both answers for each symmetry of room and fitted pairs.
 
-    A fit ends in one of two equally good answers. Where both agree within their intervals nothing
-    is ambiguous. Directional sources, and materials with different priors, break the symmetry.
-    Bands whose second fit from the exchanged answer lost 2 units of log-likelihood are left out.
+    Where both agree within their intervals nothing is ambiguous; bands whose second fit from the
+    exchanged answer lost 2 units of log-likelihood are left out.
     """
     measured, absorption = evidence.measured, evidence.absorption
     trials, scene = [b.mirrors for b in evidence.fits.answers], fitted_scene(measured)

@@ -24,10 +24,8 @@ _LIKENESS = 0.6  # of two direct sounds, whose sign it decides
 def check_levels(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding where recordings that share a gain fall into two levels apart.
 
-    Or have the same peak each, as files that were normalised one by one. Else compared are the
-    energy of the direct sound, with the distance allowed for, and the level of the reverberant
-    field 50 ms later, which hardly depends on position: only a gain moves both by the same number
-    of decibels.
+    Or have the same peak each, as files that were normalised one by one. Only a gain moves the
+    direct sound, with the distance allowed for, and the reverberant field 50 ms later alike.
     """
     groups: dict[tuple[str, str], list[MeasuredPair]] = {}
     for m in evidence.measured.responses:
@@ -119,8 +117,7 @@ def _direct_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
 def check_polarity(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding where some recordings have the opposite polarity of the others.
 
-    By the sign of the largest correlation of direct sounds of one source. Fits by energies, and by
-    pressures whose sign is free, are not affected; a cable or a channel is other than supposed.
+    By the largest correlation of direct sounds of one source. Fits are not affected.
     """
     measured = evidence.measured.responses
     by_source: dict[str, list[MeasuredPair]] = {}

@@ -47,9 +47,8 @@ _GAP_S, _GAP_STEPS, _FEWEST_GAPS = 2e-3, 8.0, 3
 def check_gate(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where responses resume after intervals of digital silence, as by a gate.
 
-    A gate, and a noise reduction, leave equal samples wherever the sound falls below a threshold,
-    and let it rise out of them again. A file that is padded with zeros has them once; where the
-    steps of a converter are coarser than the noise, it never is louder than a few of them between.
+    A file that is padded with zeros has them once; where the steps of a converter are coarser than
+    the noise, it never is louder than a few of them between.
     """
     fitted = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
     gated = {m.measurement: n for m in fitted if (n := _gaps(m)) >= _FEWEST_GAPS}
@@ -113,12 +112,11 @@ class _Line(NamedTuple):
 def check_window(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the background noise falls, as in files under an exponential window.
 
-    Noise is stationary, unless a window was applied after it was recorded. From 500 Hz to a quarter
-    of the sampling rate the levels before the direct sound and at the end of the files are put on
-    one line. They are taken for noise only if they scatter about it as the energies of noise do:
-    sound that decays, that rises before the direct sound as that of a filter or of deconvolution,
-    or that a simulator puts there, scatters by far more. A rest of reverberation at the end, which
-    falls as the room does, is fitted along.
+    Noise is stationary, unless a window was applied after it was recorded. The levels before the
+    direct sound and at the end of the files are put on one line, and taken for noise only if they
+    scatter about it as the energies of noise do: sound that decays, that rises before the direct
+    sound as that of a filter, or that a simulator puts there, scatters by far more. A rest of
+    reverberation is fitted along.
     """
     measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
     rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
@@ -153,8 +151,8 @@ def check_window(evidence: Evidence) -> Iterator[Finding]:
 def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | None:
     """Return the line of all files' noise, from the longest end that is straight.
 
-    The least crooked where none is. None where too little comes before the direct sound, or files
-    are too short. Energy as measured decays by `ring_per_s`, by the room and by the window.
+    Else the least crooked. None where too little comes before the direct sound, or files are too
+    short.
     """
     lines = []
     for share in _TAIL_SHARES:
@@ -172,10 +170,7 @@ def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | 
 
 
 def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
-    """Return the weighted least-squares line, beside noise of another level after the sound.
-
-    At which reverberation falls over the line, and over steady noise, is given.
-    """
+    """Return the weighted least-squares line, beside noise of another level after the sound."""
     rate, sd, chi2, n_free = _least_squares(files, ring_per_s)
     dispersion = max(chi2 / n_free, 1.0)
     excess = [
@@ -190,8 +185,7 @@ def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) ->
 def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
     """Return chi-square of noise of one level after the sound, and another before it, in each file.
 
-    Reverberation stands above the noise as much in all files, at the best of a grid, and falls as
-    the room does or slower, as the last of a decay does.
+    Reverberation stands above the noise as much in all files, at the best of a grid.
     """
     time_s, level, variance = (
         np.array([getattr(f, name)[-_TAIL_BLOCKS:] for f in files])
@@ -235,9 +229,9 @@ def _least_squares(files: Sequence[_Levels], ring_per_s: float) -> tuple[float, 
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     """Return what noise may be in one file; None where there is too little of it.
 
-    `share` is of the time from the direct sound to the last sample that is not zero.
-    The energy of Gaussian noise in a block is chi-square with twice as many degrees of freedom as
-    the product of time and statistical bandwidth; the mean of its logarithm is taken off.
+    `share` is of the time from the direct sound to the last sample that is not zero. The energy of
+    Gaussian noise in a block is chi-square with twice as many degrees of freedom as the product of
+    time and statistical bandwidth; the mean of its logarithm is taken off.
     """
     from scipy.signal import butter, sosfilt  # half a second to load
 

@@ -52,11 +52,7 @@ def check_specified(evidence: Evidence) -> Iterator[Finding]:
 
 
 def check_freed(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding where data contradict the positions, or that what was fixed is as it is.
-
-    Where standard deviations of positions were inflated by a scale; where walls delay reflections
-    and the settings exclude it; where positions were fixed that arrival times contradict.
-    """
+    """Yield a finding where data contradict the positions, or that what was fixed is as it is."""
     tests = evidence.fits.tests
     scale, delays, positions = tests.position_sd_scale, tests.freed_delays, tests.freed_positions
     if scale > 1.0:

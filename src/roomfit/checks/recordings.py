@@ -44,10 +44,7 @@ def check_copies(evidence: Recorded) -> Iterator[Finding]:
 
 
 def check_single(evidence: Recorded) -> Iterator[Finding]:
-    """Yield what is doubtful of each recording by itself.
-
-    Where arrivals have one cause, it is not repeated for every recording.
-    """
+    """Yield what is doubtful of each recording by itself, not of arrivals that have one cause."""
     measured = evidence.measured
     for finding in recording_findings(measured.responses, speed_of_sound_m_s(measured.scene.air)):
         if not (evidence.arrivals and finding.code is Code.TIME_ZERO_MISMATCH):
@@ -57,9 +54,7 @@ def check_single(evidence: Recorded) -> Iterator[Finding]:
 def check_repeats(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding for each pair that was measured twice with results that differ.
 
-    Compared are T20, EDT and C80, by more than 2 just noticeable differences, and the levels of the
-    bands where they are said to be alike (measurements of one source that share its gain), by more
-    than 1.5 dB. Nothing but the two responses is used: no position, no model.
+    T20, EDT and C80 by more than 2 just noticeable differences, levels that share a gain by 1.5 dB.
     """
     for one, other in combinations(evidence.measured.responses, 2):
         ways = _differing(one, other) if one.pair == other.pair else []

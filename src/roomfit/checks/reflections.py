@@ -97,14 +97,9 @@ def isolated_reflections(
     """Return the first reflections that stand alone, with what they and the fit say returns.
 
     Of every fitted response, in every band: image sources of first order whose window (their
-    arrival and `max(1 ms, 1 / B)` plus two standard deviations of its time either side, B the
-    band's statistical bandwidth) would hold `LEAST_SHARE` of their energy if the wall absorbed
-    nothing, 10 dB clear of the noise. The direct sound of the same response must stand alone, too.
-
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-        Of all other paths, and of the prediction.
+    arrival and `max(1 ms, 1 / B)` plus two standard deviations of its time either side) would hold
+    `LEAST_SHARE` of their energy if the wall absorbed nothing, 10 dB clear of the noise. The direct
+    sound of the same response must stand alone, too.
     """
     kernel = spreading_kernel(measured.bands)
     found: list[IsolatedReflection] = []
@@ -164,7 +159,7 @@ def _isolated(
     centres_s = 0.5 * (bins_s[1:] + bins_s[:-1])
     n = int(np.searchsorted(centres_s, edges[-1] + spreading_reach_s(kernel, band)))
     alpha, air = absorption[:, band : band + 1], np.array([attenuation])
-    energy = weigh(first_rows(arriving, n), alpha, air, derivative=False).energy[0]
+    energy = weigh(first_rows(arriving, n), alpha, air)[0]
     spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
     others = np.maximum(summed(spreading @ energy) - back * hard, 0.0)
     recorded = summed(window_energies(one, m.response, edges)[0])
@@ -204,10 +199,7 @@ def _isolated(
 def _variance(
     back: FloatArray, others: FloatArray, noise: FloatArray, degrees: float
 ) -> FloatArray:
-    """Return the variance of what is returned, by interference, noise and an error of the model.
-
-    What else arrives and noise are relative to the path without loss; the direct sound is first.
-    """
+    """Return the variance of what is returned, by interference, noise and an error of the model."""
     variance = (2.0 * others * back + others**2) / degrees
     variance += (noise**2 + 2.0 * noise * (back + others)) / degrees
     variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / degrees)
@@ -237,11 +229,8 @@ def wall_returns(
 ) -> tuple[WallReflectance, ...]:
     """Return the absorption of each wall and band by its isolated reflections, two or more.
 
-    Their mean, weighed by variance, the variance raised where they scatter by more than it says. To
-    its standard deviation come 1 dB for the directivity, independent from source to source, and 0.1
-    for the angles at which the wall is struck.
-
-    `scattering` has the shape (n_materials, n_bands).
+    Their mean, weighed by variance, which is raised where they scatter by more than it says; and by
+    1 dB for the directivity of each source, and 0.1 for the angles at which the wall is struck.
     """
     known = {s for s, d in measured.directivities.items() if d is not None}
     groups: dict[tuple[str, str, int], list[IsolatedReflection]] = {}
@@ -273,13 +262,10 @@ def reflection_findings(
 ) -> Iterator[Finding]:
     """Yield a finding for each wall whose reflections contradict its fitted absorption.
 
-    Where the 95 % intervals of both lie apart: by chance less often than once in 20 walls and
-    bands, once in 180 where both intervals are as wide. Those of reflections allow for angles and
-    for an error of the model that simulated rooms do not have: no right answer was doubted there
-    (docs/decisions/0031-decay-and-reflections.md).
-
-    Serious where the directivity of the sources is specified or fitted, else a warning; of a wall
-    that has both kinds of bands each is a finding of its own.
+    Where the 95 % intervals of both lie apart; those of reflections allow for angles and for an
+    error of the model that simulated rooms do not have
+    (docs/decisions/0031-decay-and-reflections.md). Serious where the directivity of the sources is
+    specified or fitted, else a warning.
 
     `fitted`: absorption and its 95 % interval, each of shape (n_materials, n_bands).
     """

@@ -64,15 +64,10 @@ def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
 def check_scattering(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where walls taken for smooth explain the data better if they scatter.
 
-    Where 0.15 gains more than 5 in log-likelihood, all bands together, and no band loses 4, which
-    indicates something else than scattering: a loudspeaker that rings, for instance, or sound that
-    runs along hard walls.
-
-    Of walls that are smooth, a model that is otherwise right raises the doubt in fewer than one
-    room in a hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that
-    it exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
-    Sources whose directivity was fitted, or that the data contradict, radiate otherwise than in
-    both of its models, so that the ratio says nothing.
+    Where no band loses 4, which indicates something else: a loudspeaker that rings, or sound that
+    runs along hard walls. Under a right model a likelihood ratio exceeds e^5 in fewer than one room
+    in a hundred (A. Wald, Sequential Analysis, 1947, section 3.2). It says nothing of sources whose
+    directivity was fitted, or that the data contradict.
     """
     trial, fits = evidence.traced.scattering_trial, evidence.fits
     if trial is None or fits.unknown_sources is not None or fits.contradicted:
@@ -93,10 +88,7 @@ def check_scattering(evidence: Evidence) -> Iterator[Finding]:
 
 
 def check_sources(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding for each source taken for omnidirectional that the data contradict.
-
-    Where its directivity was fitted for that reason, absorption need not compensate for it.
-    """
+    """Yield a finding for each source taken for omnidirectional that the data contradict."""
     unknown = evidence.fits.unknown_sources
     fitted = () if unknown is None else unknown.sources
     for own in evidence.fits.contradicted:
@@ -128,8 +120,7 @@ def check_sources(evidence: Evidence) -> Iterator[Finding]:
 def check_schroeder(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding for the bands that begin below the Schroeder frequency.
 
-    There single modes are resolved, and energies that add are no model of them: in simulated boxes
-    the 95 % intervals of such bands covered the true value less often than those above.
+    In simulated boxes the 95 % intervals of such bands covered the true value less often.
     """
     bands = evidence.measured.bands
     decay_s = median_decay_s(evidence.measured, bands.centres_hz)

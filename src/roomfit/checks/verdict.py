@@ -33,10 +33,9 @@ def judge(
     priors: Sequence[MaterialPrior],
     bands: Bands,
 ) -> BoolArray:
-    """Return which absorptions are identifiable.
+    """Return which absorptions are identifiable: by the rule, and where no finding voids them.
 
-    Those that the rule calls so (`roomfit.uncertainty.intervals.identifiable_by_rule`) and that no
-    finding voids. What the campaign fixes stays.
+    What the campaign fixes stays.
     """
     fixed = np.array([[k.known is not None] for k in priors])
     voids = [voided(finding, priors, bands) for finding in findings]
@@ -80,10 +79,9 @@ class Remaining:
 def what_remains(result: Result) -> Remaining:
     """Return what findings leave of a result.
 
-    The mean of the room counts as usable in a band where no finding doubts the recorded decay
-    or the size of the room, the decay of the fitted pairs is reproduced, the
-    reduced chi-square is at most 2, and half the interval is at most a quarter of the value.
-    Elsewhere it stands beside the mean that Eyring's formula gives of the measured decay.
+    The mean of the room is usable in a band where no finding doubts the recorded decay or the size
+    of the room, the decay of the fitted pairs is reproduced, the reduced chi-square is at most 2,
+    and half the interval is at most a quarter of the value. Elsewhere it stands beside Eyring's.
     """
     findings, by_rule = result.findings, result.identifiable_by_rule
     fixed = result.lower95 == result.upper95
@@ -104,9 +102,7 @@ def what_remains(result: Result) -> Remaining:
 def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
     """Return name and median relative error of the decay time, and where it is reproduced.
 
-    As `roomfit.checks.decay.decay_misses` judges it, but stricter: the mean over the fitted
-    pairs is missed by no more than two just noticeable differences, or two of its standard
-    deviations, and three just noticeable differences at most.
+    As `roomfit.checks.decay.decay_misses` judges it, but stricter.
     """
     n = len(result.bands)
     width_hz = result.bands.upper_hz - result.bands.lower_hz

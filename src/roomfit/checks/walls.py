@@ -74,15 +74,13 @@ def outline_findings(
 ) -> tuple[Finding, ...]:
     """Return a finding for each wall whose echoes come from elsewhere, with surface and metres.
 
-    For every large wall, displaced outward or inward by up to 3 m, the arrival time of its
-    reflection is computed, and the prominence of the responses at these times is averaged over all
-    that its specified position reflects to: at the true position the echoes align. The clearest
-    wall is decided first and its echoes are masked, so that they are attributed to no other wall.
-    What the specified outline explains up to the second order is no evidence against it.
+    For every large wall, displaced outward or inward by up to 3 m, the prominence of the responses
+    at the arrival of its reflection is averaged over all that its specified position reflects to:
+    at the true position the echoes align. The clearest wall is decided first and its echoes are
+    masked. What the specified outline explains up to the second order is no evidence against it.
 
-    `responses` are pairs of the scene, each with time zero at emission. Not examined: fewer than
-    five; those of a single source, whose own stand or table echoes in all of them alike; and a room
-    of more than 2000 triangles. `metres_outward` in the evidence is the estimated displacement.
+    `responses` are pairs of the scene. Not examined: fewer than five; those of a single source,
+    whose own stand echoes in all of them alike; and a room of more than 2000 triangles.
     """
     sources = {int(scene.pairs[pair, 0]) for pair, _ in responses}
     if len(responses) < _LEAST_RESPONSES or len(sources) < 2:

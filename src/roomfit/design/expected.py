@@ -208,7 +208,7 @@ def _expected_term(
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
     width_hz = float(statistical_bandwidth_hz(one)[0])
     air = attenuation_per_m(alone.air, one)
-    energy = weigh(rows, fit.known.typical[:, band : band + 1], air, derivative=False).energy[0]
+    energy = weigh(rows, fit.known.typical[:, band : band + 1], air)[0]
     usable_s, noise_per_s = _expected_noise(energy, edges_s, fit.options.decay_range_db)
     direct_s = float(distances_m(alone)[0] / c)
     edges = window_edges_s(direct_s, usable_s, width_hz, periods=_WINDOW_PERIODS)

@@ -72,8 +72,8 @@ def from_random_starts(
 ) -> tuple[BandFit, Starts]:
     """Return the likeliest of a fit and of others from random starts, and whether they agree.
 
-    Starts are drawn evenly over absorption, gains as in the fit. Those whose first round ends where
-    that of the usual start does are not followed any further.
+    Starts are even over absorption. One whose first round ends where that of the usual start does
+    is not followed any further.
     """
     parameters = objective.parameters
     usual = first_round(objective, start_vector(parameters))
@@ -144,8 +144,6 @@ def estimate_energies(
     """Estimate the absorption of every band by window energies and room parameters.
 
     Where data contradict a source that was taken for omnidirectional, its directivity is fitted.
-
-    Shapes: `start` (n_bands,).
     """
     unknown = directivity_parameters(measured, settings)
     tested = omnidirectional(measured) if unknown is None else None

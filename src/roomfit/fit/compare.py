@@ -37,10 +37,7 @@ def compared_values(
     bands: Bands,
     names: Sequence[ValueName] = VALUE_NAMES,
 ) -> tuple[dict[str, Compared], ...]:
-    """Return measured, predicted and null value of every pair; parameters never measured left out.
-
-    Shapes: `predicted` (n_names, n_bands).
-    """
+    """Return measured, predicted and null value of every pair, of parameters that were measured."""
     tables = []
     for m, row in zip(measured, predicted, strict=True):
         table: dict[str, Compared] = {}
@@ -73,11 +70,8 @@ def compare_all(
 ) -> tuple[tuple[ComparedPair, ...], BoolArray]:
     """Return measured against predicted for every response, then for every table's pairs.
 
-    And in which bands the pressures of image sources are added in the predicted responses: in those
-    of the candidates where they explain the fitted ones better than energies do, by the mean error
-    in just noticeable differences over all room parameters and pairs.
-
-    Shapes: `absorption` (n_materials, n_bands), `candidates` (n_bands,).
+    And in which candidate bands pressures of image sources explain the fitted responses better than
+    energies do, by the mean error in just noticeable differences: there they are added.
     """
     scene, bands = measurements.scene, measurements.bands
     compared = partial(compare_pairs, scene, bands, binned, measurements.responses, absorption)
@@ -121,10 +115,7 @@ def compare_pairs(
     absorption: FloatArray,
     by_pressures: BoolArray | None = None,
 ) -> tuple[ComparedPair, ...]:
-    """Return measured against predicted for every measurement, fitted or kept for validation.
-
-    Shapes: `absorption` (n_materials, n_bands), `by_pressures` (n_bands,).
-    """
+    """Return measured against predicted for every measurement, fitted or kept for validation."""
 
     def compared(m: MeasuredPair) -> ComparedPair:
         # the same reduction on both sides
@@ -158,10 +149,7 @@ def predicted_curve(
     absorption: FloatArray,
     by_pressures: BoolArray | None = None,
 ) -> DecayCurve:
-    """Return the decay curves that the paths of a pair predict, smeared as the filters would.
-
-    Shapes: `absorption` (n_materials, n_bands), `by_pressures` (n_bands,).
-    """
+    """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     energy = spread_over_time(bands, energy)
     if by_pressures is not None and by_pressures.any():

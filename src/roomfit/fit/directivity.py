@@ -68,15 +68,9 @@ def directivity_score(
 ) -> DirectivityScore:
     """Return the evidence of a fitted band against each of its sources being omnidirectional.
 
-    First by Rao's score test [1]_: one evaluation at the answer, with the derivative by b, gives
-    the gain to second order. Where that is more than chance gives, the source's b is fitted, and
-    the full log-likelihoods are compared. Gains are divided by the reduced chi-square where that
-    is above 1.
-
-    References
-    ----------
-    .. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
-           Proc. Camb. Phil. Soc. 44, 50-57 (1948).
+    Rao's score test (Proc. Camb. Phil. Soc. 44, 50 (1948)) gives the gain to second order. Where
+    that is more than chance gives, b is fitted and likelihoods are compared. Gains are divided by
+    the reduced chi-square where that is above 1.
     """
     windows, inflation = cast(EnergyTerm, energies.terms[0]), energies.inflation
     inflation = None if inflation is None else inflation[: windows.measured().size]
@@ -178,10 +172,8 @@ def with_fitted_sources(
 def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:
     """Return the Gaussian likelihood of the last entries of a fit's vector, the others unknown.
 
-    Those entries have a unit normal prior, which is taken out; information is divided by the
+    Information (n, n) and weighted mean (n,), their unit normal prior taken out; divided by the
     reduced chi-square where that is above 1, since data that the model misses determine less.
-
-    Shapes: information (n, n), weighted_mean (n,).
     """
     marginal = marginal_information(fit.information, first)
     data = marginal - np.eye(len(marginal))
@@ -197,10 +189,7 @@ def cavity_priors(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return mean and covariance of each band's unknowns from all other bands and the prior.
 
-    The prior of each unknown is a unit normal law in every band; between bands d octaves apart its
-    values correlate by ``correlation ** d``.
-
-    Shapes: `octaves` (n_bands,).
+    Unit normal in every band; between bands d octaves apart they correlate by ``correlation ** d``.
     """
     apart = np.abs(octaves[:, None] - octaves[None, :])
     prior = np.linalg.inv(np.kron(correlation**apart, np.eye(n)))
@@ -277,10 +266,7 @@ def directed_energies(
     start: FloatArray,
     parameters: DirectivityParameters | None,
 ) -> tuple[BandDirectivities | None, ...]:
-    """Return the unknown directivities of each band with the prior that all other bands leave.
-
-    Shapes: `start` (n_bands,).
-    """
+    """Return the unknown directivities of each band with the prior that all other bands leave."""
     scene, bands, responses = measured.scene, measured.bands, measured.responses
     if parameters is None:
         return (None,) * len(bands)

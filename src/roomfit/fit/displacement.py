@@ -113,18 +113,14 @@ class Offset:
     def log_prior(self, by_m: float) -> float:
         """Return the logarithm of its prior over that of none.
 
-        Student's t with four degrees of freedom, scaled by what is specified: a likelihood of one
-        model that is maximised over a hundred places gains 20 somewhere.
+        Student's t with four degrees of freedom: a likelihood of one model that is maximised over a
+        hundred places gains 20 somewhere.
         """
         return -2.5 * float(np.log1p(0.25 * (by_m / self.tolerance_m) ** 2))
 
 
 def offsets_of(scene: Scene) -> tuple[Offset, ...]:
-    """Return what may be displaced: groups that are stated or all positions, and a box's lengths.
-
-    Where nothing is stated, all positions move as one, with the standard deviation of one of them,
-    and each length has 3 cm.
-    """
+    """Return what may be displaced: stated groups or all positions, and the lengths of a box."""
     found = []
     every = [frozenset(p.name for p in points) for points in (scene.sources, scene.receivers)]
     for group in scene.groups:
@@ -149,10 +145,7 @@ def offsets_of(scene: Scene) -> tuple[Offset, ...]:
 
 
 def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> Scene:
-    """Return the scene with its offsets at the given values.
-
-    Shapes: `shift_m` (n_offsets,).
-    """
+    """Return the scene with its offsets at the given values, (n_offsets,)."""
     moves, longer_m = list(zip(offsets, shift_m, strict=True)), np.zeros(3)
     for offset, by_m in moves:
         longer_m[offset.axis] += 0.0 if offset.group else by_m

@@ -65,9 +65,8 @@ def counted_once(
 ) -> tuple[list[Measurement], tuple[Copy, ...]]:
     """Return the measurements without copies of one recording, and all copies.
 
-    A copy that stands where the first one does, under whatever name, adds no information and is
-    left out, the one to be fitted kept. One that is said to be of other places is wrong there or
-    here, and nobody but the user can tell where: it stays.
+    One that stands where the first does adds no information: the one to be fitted is kept. One that
+    is said to be of other places is wrong there or here, and only the user can tell: it stays.
     """
     at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
     order = sorted(measurements, key=lambda m: m.use != "fit")
@@ -223,9 +222,8 @@ def on_one_clock(
 def fit_ends_s(noise: NoiseEstimate, curve: DecayCurve, decay_range_db: float) -> FloatArray:
     """Return when the last window of a fit ends in each band, in s after emission, (n_bands,).
 
-    Where the decay stands 4 dB above the noise; or, if that is earlier, where the decay curve has
-    fallen by `decay_range_db`. What comes later carries a ten-thousandth of the energy, is of no
-    room parameter, and belongs to the few modes that decay the most slowly.
+    Where the decay stands 4 dB above the noise, or has fallen by `decay_range_db`: what comes later
+    is of no room parameter, and belongs to the few modes that decay the most slowly.
     """
     clear_s = noise.usable_end_s - np.log(_CLEAR_OF_NOISE) * noise.tail_time_constant_s
     fallen = curve.energy_left <= curve.energy_left[:, :1] * 10.0 ** (-decay_range_db / 10.0)
@@ -239,8 +237,7 @@ def from_emission(
     """Return the responses on a clock that counts from emission.
 
     ``direct``: the response's own onset is the direct sound. ``unknown``: one offset a source and
-    state of the room, the median over its responses, so that a single masked onset moves nothing.
-    Responses for validation contribute only where a source has no other.
+    state, the median over its responses; those for validation count only where there is no other.
     """
     aligned = [
         m.response
@@ -264,10 +261,7 @@ def from_emission(
 
 
 def time_scales(measurements: Measurements) -> tuple[float, float]:
-    """Return the longest decay time of any band, and where the last usable window ends, in s.
-
-    What is kept for validation does not contribute, so that it cannot change the answer.
-    """
+    """Return the longest decay time that is fitted, and where the last usable window ends, in s."""
     fitted = [m for m in measurements.responses if m.measurement.use == "fit"]
     times_s = [0.0]
     for m in fitted:
@@ -292,9 +286,9 @@ def known(row: FloatArray) -> list[float]:
 
 
 def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatArray:
-    """Return the median reverberation time over what is fitted, NaN where none is known.
+    """Return the median T20 over what is fitted, NaN where none is known, (n_bands,).
 
-    Of T20, or of EDT in a band where no pair has the range for T20; shape (n_bands,).
+    Or EDT in a band where no pair has the range for T20.
     """
     found: FloatArray = np.full(centres_hz.size, np.nan)
     names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")

@@ -27,10 +27,7 @@ def file_misfits(
     fit: BandFit,
     inflation: FloatArray | None,
 ) -> dict[MeasuredPair, float]:
-    """Return the mean squared weighted residual of each measurement of a band, as measured.
-
-    Shapes: `inflation` (n_data,).
-    """
+    """Return the mean squared weighted residual of each measurement of a band, as measured."""
     ends = np.cumsum([0, *(o.energy.size for o in windows.observations)])
     squares = (fit.measured - fit.expected) ** 2 / fit.variance
     squares = squares if inflation is None else squares * inflation
@@ -43,8 +40,7 @@ def outlier_files(
 ) -> dict[MeasuredPair, float]:
     """Return the outliers, each with the ratio of its misfit to that of the others.
 
-    An outlier's misfit is far above the median of all measurements, in the median band. Of fewer
-    than three measurements none can be distinguished.
+    Far above the median of three measurements or more, in the median band.
     """
     ratios: dict[MeasuredPair, list[float]] = {}
     for misfits in bands:

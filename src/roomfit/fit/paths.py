@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from roomfit.base.bands import Bands
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.scattering import (
     ChosenScattering,
     ScatteringTrial,
-    assumed_scattering,
     band_factors,
     chosen_scattering,
     specified_scattering,
     tried_scattering,
 )
-from roomfit.fit.trace_plan import TracePlan, plan_trace, planned_trace
+from roomfit.fit.trace_plan import TracePlan, plan_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, bin_paths, reweighed
 from roomfit.model.directivity import FittedDirectivity
-from roomfit.model.patterns import directivity_factors
+from roomfit.model.patterns import Directivities, directivity_factors
+from roomfit.room.scene import Scene
 from roomfit.settings import Settings
 from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.trace import trace
+
+_LOG = logging.getLogger("roomfit")
 
 
 def trim_memory() -> None:
@@ -81,6 +88,29 @@ def traced_with(traced: TracedPaths) -> dict[str, float]:
     return used | {"scattering_groups": len(traced.paths.sampling_scattering)}
 
 
+def traced_by(
+    plan: TracePlan,
+    scene: Scene,
+    bands: Bands,
+    priors: tuple[MaterialPrior, ...],
+    directivities: Directivities,
+    progress: Progress | None,
+) -> TracedPaths:
+    """Return the paths that a plan gives, with the factors of scattering and directivity."""
+    used, n_pairs = plan.settings, len(scene.pairs)
+    _LOG.info("tracing")
+    how = n_pairs, used.duration_s, used.image_order, used.n_rays
+    _LOG.debug("%d pairs for %.2f s: image sources to order %d, %d rays a source", *how)
+    found = trace(scene, used, plan.scattering, progress)
+    _LOG.debug("%d paths", len(found.paths.pair))
+    scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+    factors, degenerate = band_factors(directivities, scene, bands, found.paths, scattering)
+    binned = bin_paths(scene, bands, found.paths, used.duration_s, factors)
+    doubts = (*plan.findings, *found.findings, *degenerate)
+    none = np.zeros(len(priors))
+    return TracedPaths(found.paths, binned, used, factors, scattering, none, doubts)
+
+
 def traced_paths(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
@@ -89,15 +119,11 @@ def traced_paths(
     progress: Progress | None,
     images_until_s: float | None = None,
 ) -> TracedPaths:
-    """Trace every measured pair for as long as its decay is to be compared.
-
-    Shapes: `start` (n_bands,).
-    """
-    scene, bands = measurements.scene, measurements.bands
+    """Trace every measured pair for as long as its decay is to be compared."""
 
     def planned() -> TracePlan:
         return plan_trace(
-            scene,
+            measurements.scene,
             priors,
             *time_scales(measurements),
             settings,
@@ -106,31 +132,17 @@ def traced_paths(
         )
 
     plan = planned()
-    known = settings, plan.settings, start
-    priors, assumed_sd, assumed = assumed_scattering(measurements, priors, *known)
+    how = settings, plan.settings, start
     early = part(progress, 0.0, 0.5)
-    priors, chosen_sd, chosen = chosen_scattering(measurements, priors, *known, early)
+    priors, sd, chosen = chosen_scattering(measurements, priors, *how, early)
     tried: ScatteringTrial | None = None
-    if assumed or chosen:
+    if chosen:
         plan = planned()
     elif not settings.quick:
-        tried = tried_scattering(measurements, priors, *known)
+        tried = tried_scattering(measurements, priors, *how)
     trim_memory()
-    done = part(progress, 0.5 if chosen else 0.0, 1.0)
-    found = planned_trace(scene, plan.settings, plan.scattering, done)
-    paths = found.paths
-    scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
-    factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
-    binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
+    done = part(progress, 0.5 if any(c.is_fitted for c in chosen) else 0.0, 1.0)
+    room = measurements.scene, measurements.bands, priors, measurements.directivities
+    traced = traced_by(plan, *room, done)
     trim_memory()
-    return TracedPaths(
-        paths,
-        binned,
-        plan.settings,
-        factors,
-        scattering,
-        assumed_sd + chosen_sd,
-        (*plan.findings, *found.findings, *degenerate),
-        tuple(c for c in (assumed, chosen) if c is not None),
-        tried,
-    )
+    return replace(traced, scattering_sd=sd, chosen_scattering=chosen, scattering_trial=tried)

@@ -117,13 +117,10 @@ def choose_scattering(
     common: bool = True,
     progress: Progress | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the scattering coefficients with the highest profile likelihood on a grid.
+    """Return the coefficients of the highest likelihood, the least and the largest that do as well.
 
-    And the least and the largest that do as well. The likelihood is summed over bands. First all
-    unknown coefficients move together. With ``common=False`` they are then moved one after the
-    other, each over the whole grid, until none moves or two rounds are done.
-
-    Shape (n_materials, n_bands). Shapes: `start` (n_materials, n_bands), `fitted` (n_materials,).
+    All (n_materials, n_bands), on a grid. First all unknown ones move together; with
+    ``common=False`` then one after the other, until none moves or two rounds are done.
     """
     _LOG.info("choosing the scattering")
     values, unknown = np.array(sorted(set(grid))), np.flatnonzero(fitted)
@@ -184,40 +181,55 @@ def chosen_scattering(
     trace_settings: TraceSettings,
     start: FloatArray,
     progress: Progress | None,
-) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
-    """Return the priors with the most likely scattering where it is to be fitted.
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[ChosenScattering, ...]]:
+    """Return the priors with the most likely scattering where it is unspecified or to be fitted.
 
     And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
-    Energies alone are compared, in paths that are weighed for every trial.
-
-    Shapes: `start` (n_bands,).
+    What is unspecified has one coefficient: that of the settings where it explains the responses as
+    well as the most likely of five, or where there are none; then its deviation is as large.
     """
-    fitted = np.array([k.fit_scattering for k in priors])
-    if not fitted.any():
-        return priors, np.zeros(len(priors)), None
-    shortened = _shortened(trace_settings, settings.n_scattering_rays, _FIT_S)
-    every = slice(0, len(measurements.bands))
-    trial = _energy_fit(measurements, priors, settings, shortened, start, every)
-    if trial is None:
-        raise InputError(
-            "scattering cannot be fitted without responses",
-            where="materials",
-            found='scattering = "fit" and room parameters only',
-            needed="impulse responses, or scattering as a number",
-            hint="write scattering = 0.1, or add recordings",
+    n_bands, sd, found = len(measurements.bands), np.zeros(len(priors)), []
+    for is_fitted in (False, True):
+        own = np.array([k.fit_scattering for k in priors])
+        grid: Sequence[float] = GRID
+        value = settings.default_scattering
+        how, bands = (settings.n_scattering_rays, _FIT_S), slice(0, n_bands)
+        if not is_fitted:
+            own = np.array([k.scattering is None for k in priors]) & ~own
+            grid, how = (0.0, *sorted({*_ASSUMED, value})), (_ASSUMED_RAYS, _TRIAL_S)
+            first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
+            bands = slice(first, min(first + _ASSUMED_BANDS, n_bands))
+        if not own.any():
+            continue
+        shortened = _shortened(trace_settings, *how)
+        trial = _energy_fit(measurements, priors, settings, shortened, start, bands)
+        best = low = high = np.full(np.count_nonzero(own), value)
+        sd[own] = value
+        if trial is not None:
+            common = not is_fitted or best.size > _MAX_SEPARATE
+            told = progress if is_fitted else None
+            ways = choose_scattering(*trial, own, grid=grid, common=common, progress=told)
+            best, low, high = (x[own, 0] for x in ways)
+            sd[own] = [_grid_sd(grid, *ends) for ends in zip(low, high, strict=True)]
+            if not is_fitted and low[0] <= value <= high[0]:
+                best = np.full(best.size, value)
+        elif is_fitted:
+            raise InputError(
+                "scattering cannot be fitted without responses",
+                where="materials",
+                found='scattering = "fit" and room parameters only',
+                needed="impulse responses, or scattering as a number",
+                hint="write scattering = 0.1, or add recordings",
+            )
+        names = tuple(k.name for k, is_own in zip(priors, own, strict=True) if is_own)
+        of = dict(zip(names, best.tolist(), strict=True))
+        priors = tuple(
+            replace(k, scattering=np.full(n_bands, of[k.name])) if k.name in of else k
+            for k in priors
         )
-    fit, specified = trial
-    common = int(np.count_nonzero(fitted)) > _MAX_SEPARATE
-    s, lower, upper = choose_scattering(fit, specified, fitted, common=common, progress=progress)
-    known = tuple(
-        replace(k, scattering=row) if k.fit_scattering else k
-        for k, row in zip(priors, s, strict=True)
-    )
-    names = tuple(k.name for k in priors if k.fit_scattering)
-    values, least, most = (tuple(x[fitted, 0].tolist()) for x in (s, lower, upper))
-    sd = np.zeros(len(priors))
-    sd[fitted] = [_grid_sd(GRID, *ends) for ends in zip(least, most, strict=True)]
-    return known, sd, ChosenScattering(names, values, least, most, True, True)
+        values, least, most = (tuple(x.tolist()) for x in (best, low, high))
+        found.append(ChosenScattering(names, values, least, most, is_fitted, trial is not None))
+    return priors, sd, tuple(found)
 
 
 def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
@@ -231,48 +243,6 @@ def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
     return float(edges[last + 1] - edges[first]) / (2.0 * Z95)
 
 
-def assumed_scattering(
-    measurements: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    settings: Settings,
-    trace_settings: TraceSettings,
-    start: FloatArray,
-) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
-    """Return the priors with a scattering coefficient where it is unspecified.
-
-    One coefficient for all of them: the most likely of five where there are responses; that of the
-    settings where there are none, or where it explains them as well. And its standard deviation by
-    material, 0 elsewhere: as of `chosen_scattering`, or as large as the coefficient itself where
-    there are no responses.
-
-    Shapes: `start` (n_bands,).
-    """
-    unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
-    if not unspecified.any():
-        return priors, np.zeros(len(priors)), None
-    value = low = high = sd = settings.default_scattering
-    n_bands = len(measurements.bands)
-    first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
-    middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
-    shortened = _shortened(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
-    trial = _energy_fit(measurements, priors, settings, shortened, start, middle)
-    if trial is not None:
-        grid = (0.0, *sorted({*_ASSUMED, value}))
-        best, low, high = (
-            float(x[unspecified][0, 0]) for x in choose_scattering(*trial, unspecified, grid=grid)
-        )
-        value = value if low <= value <= high else best
-        sd = _grid_sd(grid, low, high)
-    known = tuple(
-        replace(k, scattering=np.full(n_bands, value)) if missing else k
-        for k, missing in zip(priors, unspecified, strict=True)
-    )
-    names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
-    each = [(x,) * len(names) for x in (value, low, high)]
-    assumed = ChosenScattering(names, each[0], each[1], each[2], False, trial is not None)
-    return known, np.where(unspecified, sd, 0.0), assumed
-
-
 def tried_scattering(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
@@ -280,11 +250,9 @@ def tried_scattering(
     trace_settings: TraceSettings,
     start: FloatArray,
 ) -> ScatteringTrial | None:
-    """Return what is gained if walls that are specified as smooth scatter by 0.15; None without.
+    """Return what is gained if walls specified as smooth scatter by 0.15; None without any.
 
     In the three highest bands up to 4 kHz.
-
-    Shapes: `start` (n_bands,).
     """
     walls = [k for k in priors if k.object_volume_m3 is None]
     if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in walls):
@@ -318,9 +286,9 @@ def _energy_fit(
     start: FloatArray,
     chosen: slice,
 ) -> tuple[ScatteringFit, FloatArray] | None:
-    """Return a fit of the energies in some bands, and the specified coefficients there.
+    """Return a fit of the energies in some bands, 0 without data, and the specified coefficients.
 
-    None where there are no responses to fit. The log likelihood of a band without data is 0.
+    None where there are no responses to fit.
     """
     observed = [m for m in measurements.responses if m.measurement.use == "fit"]
     if not observed:
@@ -362,26 +330,19 @@ def _energy_fit(
 def specified_scattering(
     priors: tuple[MaterialPrior, ...], traced: FloatArray, n_bands: int
 ) -> FloatArray:
-    """Return the scattering of each material in each band, that of the trace where unspecified.
-
-    Shape (n_materials, n_bands). Shapes: `traced` (n_materials,) or (n_groups, n_materials).
-    """
-    rows = [
-        np.full(n_bands, s0) if k.scattering is None else k.scattering
-        for k, s0 in zip(priors, np.atleast_2d(traced)[0], strict=True)
-    ]
-    return np.stack(rows)
+    """Return the scattering (n_materials, n_bands), that of the trace where it is unspecified."""
+    both = zip(priors, np.atleast_2d(traced)[0], strict=True)
+    return np.stack(
+        [np.full(n_bands, s0) if k.scattering is None else k.scattering for k, s0 in both]
+    )
 
 
 def band_factors(
     directivities: Directivities, scene: Scene, bands: Bands, paths: Paths, scattering: FloatArray
 ) -> tuple[FloatArray | None, tuple[Finding, ...]]:
-    """Return the factor of every path in every band, shape (n_bands, n_paths).
+    """Return the factor of every path in every band, (n_bands, n_paths); None where all are 1.
 
-    None where all are 1: walls scatter in every band as they did in the trace, and all sources
-    are omnidirectional. With a finding where weights are degenerate.
-
-    Shapes: `scattering` (n_materials, n_bands).
+    With a finding where weights are degenerate. Shapes: `scattering` (n_materials, n_bands).
     """
     findings: tuple[Finding, ...] = ()
     traced = paths.sampling_scattering
@@ -392,13 +353,12 @@ def band_factors(
         return None, ()
     factors: FloatArray = np.ones((len(bands), len(paths)))
     if differs:
-        for band in range(len(bands)):
-            wanted = Scattering(paths.materials, scattering[:, band])
-            factors[band] = scattering_weights(paths, wanted)
+        for factor, own in zip(factors, scattering.T, strict=True):
+            factor[:] = scattering_weights(paths, Scattering(paths.materials, own))
         findings = _degenerate_weight_findings(bands, paths, factors)
     if is_directed:
-        for band in range(len(bands)):
-            factors[band] *= directivity_factors(paths, sources, scene.pairs[:, 0].tolist(), band)
+        for band, factor in enumerate(factors):
+            factor *= directivity_factors(paths, sources, scene.pairs[:, 0].tolist(), band)
     return factors, findings
 
 
@@ -408,21 +368,16 @@ def _degenerate_weight_findings(
     """Return a finding for bands in which few rays carry nearly all of the weight."""
     rays = paths.batch >= 0
     n = int(np.count_nonzero(rays))
-    if n == 0:
+    fractions = np.array([effective_sample_size(row[rays]) / max(n, 1) for row in factors])
+    few = np.flatnonzero((fractions < LEAST_EFFECTIVE_FRACTION) & (n > 0))
+    if not few.size:
         return ()
-    fractions = np.array([effective_sample_size(row[rays]) / n for row in factors])
-    degenerate = np.flatnonzero(fractions < LEAST_EFFECTIVE_FRACTION)
-    if not degenerate.size:
-        return ()
-    notes = [f"{100 * fractions[j]:.0f} %" for j in degenerate]
-    return (
-        Finding(
-            Code.IMPORTANCE_WEIGHTS_DEGENERATE,
-            About(bands_hz=bands.centres_hz[degenerate].tolist()),
-            "Scattering differs so much from what rays were traced with, the mean over groups of "
-            "bands, that few of them carry the energy: their effective share is "
-            f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "
-            "bands by themselves.",
-            {"bands_hz": bands.centres_hz[degenerate].tolist()},
-        ),
+    bands_hz, notes = bands.centres_hz[few].tolist(), [f"{100 * fractions[j]:.0f} %" for j in few]
+    text = (
+        "Scattering differs so much from what rays were traced with, the mean over groups of "
+        "bands, that few of them carry the energy: their effective share is "
+        f"{bands_in_words(bands, few, notes)}. Predictions are noisy there; fit these bands by "
+        "themselves."
     )
+    code, about = Code.IMPORTANCE_WEIGHTS_DEGENERATE, About(bands_hz=bands_hz)
+    return (Finding(code, about, text, {"bands_hz": bands_hz}),)

@@ -86,14 +86,8 @@ def downhill_simplex(
 ) -> Fit:
     """Move a simplex downhill until its vertices agree.
 
-    Parameters
-    ----------
-    error : callable
-        Takes a point of the unit box, shape (n,).
-    start : float array, shape (n + 1, n)
-        Vertices of the first simplex, within the unit box, not all in one plane.
-    tolerance : float
-        tau of test (6), in the unit of the error.
+    From `start` (n + 1, n), within the unit box and not in one plane; `tolerance` is tau of test
+    (6).
     """
     counted = _Counted(error)
     vertices, errors = _lowest_first(np.array(start), np.array([counted(v) for v in start]))
@@ -149,10 +143,7 @@ def moved_downhill(
 
 
 def simplex_around(x: FloatArray, size: float) -> FloatArray:
-    """Return a simplex with one vertex at `x` and its n edges along the axes, (n + 1, n).
-
-    Each edge has the length `size`, at most 0.5, and points to the farther wall.
-    """
+    """Return a simplex at `x` with n edges of `size` towards the farther walls, (n + 1, n)."""
     edges = np.diag(np.where(x <= 0.5, size, -size))
     return np.concatenate((x[None, :], x + edges))
 
@@ -189,25 +180,9 @@ def anneal(
 ) -> Fit:
     """Walk the unit box while it cools, then go downhill from the best points met.
 
-    Parameters
-    ----------
-    error : callable
-        Takes a point of the unit box, shape (n,).
-    n : int
-        Number of unknowns.
-    start_temperature : float, optional
-        In the unit of the error; None takes the spread of the error over random points.
-    cooling : float
-        Factor from one temperature to the next.
-    levels : int
-        How many temperatures.
-    trials_per_unknown : int
-        Trials at each temperature for every unknown.
-
-    Returns
-    -------
-    Fit
-        The trail: states at the end of each temperature, then the simplexes' own trails.
+    By `levels` temperatures, each `cooling` times the one before; `start_temperature` None takes
+    the spread of the error over random points. The trail: states at the end of each temperature,
+    then those of the simplexes.
     """
     counted = _Counted(error)
     samples = rng.random((10 * n, n))

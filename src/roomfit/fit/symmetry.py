@@ -49,9 +49,8 @@ class Symmetry:
 def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symmetry, ...]:
     """Return every symmetry that mirror planes generate, the identity left out.
 
-    Candidates are the planes through the centroid of the surface that reflect one wall's normal
-    into itself or another's, or that are perpendicular to a principal axis. Each is tried on points
-    of the surface; those found are combined until the group is closed.
+    Planes through the centroid that reflect one wall's normal into itself or another's, or that are
+    perpendicular to a principal axis, are tried on points of the surface, then combined to a group.
     """
     if room.states:
         parts, of_part = parts_of(room)
@@ -101,8 +100,8 @@ def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | N
 def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
     """Return how far each pair is from being carried into itself, in m, shape (n_pairs,).
 
-    Half the larger distance of source and receiver from their images; or, if that is less, from
-    each other's images, since source and receiver can be exchanged (reciprocity).
+    Half the larger distance of source and receiver from their images or, if that is less, from each
+    other's images (reciprocity).
     """
     sources = np.array([s.position_m for s in scene.sources])[scene.pairs[:, 0]]
     receivers = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
@@ -117,8 +116,7 @@ def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
 def mirror_planes(scene: Scene) -> tuple[tuple[Symmetry, FloatArray], ...]:
     """Return the planes that mirror room and every pair and exchange materials, with normals (3,).
 
-    Images in the walls that such a plane exchanges arrive together, at every order and for every
-    pair: data determine the product of what these walls return, hardly their ratio.
+    Data determine the product of what the exchanged walls return, hardly their ratio.
     """
     found = []
     for symmetry in room_symmetries(scene.room) if len(scene.pairs) else ():
@@ -230,10 +228,7 @@ def fitted_scene(measurements: Measurements) -> Scene:
 
 
 def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArray) -> bool:
-    """Whether materials are exchanged, and only such that have equal priors.
-
-    And are of the same products as before with all others.
-    """
+    """Whether materials are exchanged, and only such that have equal priors and products."""
     mean, covariance = prior_logit_law(priors)
     exchanged = covariance[:, exchange][:, :, exchange]
     if not (np.array_equal(mean, mean[exchange]) and np.allclose(covariance, exchanged, rtol=1e-9)):

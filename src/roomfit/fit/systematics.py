@@ -228,7 +228,7 @@ def scattering_error(
         factors = paths.hits_diffuse[path][:, own] @ (sd[own] / s[own])
         factors -= paths.hits_specular[path][:, own] @ (sd[own] / (1.0 - s[own]))
         energy, change = (
-            observed.spreading @ weigh(r, walls, air, derivative=False).energy[0]
+            observed.spreading @ weigh(r, walls, air)[0]
             for r in (rows, directed_rows(rows, factors))
         )
         found.append(np.divide(change, energy, out=np.zeros_like(energy), where=energy > 0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
-from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.typing import FloatArray
 from roomfit.fit.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.model.scattering import effective_fractions, sampling_groups
@@ -20,31 +19,8 @@ from roomfit.room.scene import Room, Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import TraceSettings
-from roomfit.tracing.rays import Trace, expected_paths, path_bytes
-from roomfit.tracing.trace import fitting_radii_m, trace
-
-_LOG = logging.getLogger("roomfit")
-
-
-def planned_trace(
-    scene: Scene,
-    settings: TraceSettings,
-    scattering: Scattering,
-    progress: Progress | None = None,
-) -> Trace:
-    """Return `roomfit.tracing.trace.trace` of a scene, and log what it takes."""
-    _LOG.info("tracing")
-    _LOG.debug(
-        "%d pairs for %.2f s: image sources to order %d, %d rays a source",
-        len(scene.pairs),
-        settings.duration_s,
-        settings.image_order,
-        settings.n_rays,
-    )
-    found = trace(scene, settings, scattering, progress)
-    _LOG.debug("%d paths", len(found.paths.pair))
-    return found
-
+from roomfit.tracing.rays import expected_paths, path_bytes
+from roomfit.tracing.trace import fitting_radii_m
 
 _IMAGE_ORDER, _ANY_ORDER = 3, 1000
 # In a room where they suffice rays are so many, and fewer beside image sources of every order where
@@ -94,24 +70,16 @@ def plan_trace(
     """Choose how to trace.
 
     A box whose walls do not scatter is done by image sources alone, which are exact; every other
-    room by image sources for the first orders and rays for the rest. Sound is followed
-    until the slowest band has fallen by 45 dB, so that T30 can be predicted. Where scattering
-    differs between bands, rays are divided among as few groups of bands as
-    `roomfit.model.scattering.sampling_groups` asks for.
+    room by image sources for the first orders and rays for the rest, until the slowest band has
+    fallen by 45 dB, so that T30 can be predicted. With `images_until_s` image sources of every
+    order reach so far, where 0 is none, and can be moved.
 
-    Rays and the radius of their spheres, where the settings leave them open, follow the room.
-    Windows of a decay 10 dB down are to have a Monte-Carlo error of a third of the data's own (of a
-    half where only values are fitted, `by_values`),
-    which fixes how often a second some ray crosses a sphere: with N rays and spheres of radius a in
-    a volume V it is ``N pi a**2 c / V``. Where 60,000 rays and 0.5 m bring less, the radius is
-    0.09 of the mean free path, 0.5 m at least and no more than walls and sources permit: it
-    smears arrival times by 0.04 of a mean free path, less than half of the shortest window that
-    rays fill. The number of rays follows, divided by the least effective fraction of any band at
-    that time, up to what fits into 1 GB, with a finding where that is less.
-
-    Where they are all there is, image sources are so many a pair as the settings say, and 10
-    million of all pairs together. With `images_until_s` there are image sources of every order for
-    so long, where 0 is none, and they can be moved.
+    Rays and the radius of their spheres, where the settings leave them open, follow the room:
+    windows 10 dB down are to have a Monte-Carlo error of a third of the data's own (of a half where
+    only values are fitted, `by_values`). N rays and spheres of radius a in a volume V cross ``N pi
+    a**2 c / V`` times a second. Where 60,000 rays and 0.5 m bring less, the radius is 0.09 of the
+    mean free path: it smears arrivals by less than half of the shortest window that rays fill. The
+    number of rays follows, up to what fits into 1 GB, with a finding where that is less.
     """
     specified = [sampling_scattering(k) for k in priors]
     single = np.array([settings.default_scattering if s is None else s for s in specified])

@@ -15,18 +15,17 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.fit.compare import predicted_curve
-from roomfit.fit.scattering import band_factors, specified_scattering
+from roomfit.fit.paths import traced_by
 from roomfit.fit.trace_plan import (
     LEAST_RAYS,
     TracePlan,
     has_every_order,
     images_until_s,
     plan_trace,
-    planned_trace,
     traced_s,
 )
 from roomfit.materials.priors import MaterialPrior, unknown_material
-from roomfit.model.binned import BinnedPaths, bin_paths, pair_energies, rows_at
+from roomfit.model.binned import BinnedPaths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.observation import spread_over_time
 from roomfit.model.reduced_rows import (
@@ -246,11 +245,8 @@ def trace_room(
 ) -> TracedRoom:
     """Trace until every band of every pair has fallen by 36 dB, or for 30 s.
 
-    How long is estimated from Eyring's formula and the measured decay, the longer of both; where
-    walls differ much, sound between the hard ones lasts longer still, which few rays find out
-    before.
-
-    Shapes: `absorption` (n_materials, n_bands).
+    How long is estimated from Eyring's formula and the measured decay; where walls differ much,
+    sound between the hard ones lasts longer still, which few rays find out before.
     """
     settings = Settings() if settings is None else settings
     bands, directivities = known.bands, known.directivities or {}
@@ -277,14 +273,10 @@ def trace_room(
     def traced(n_rays: int, progress: Progress | None) -> TracedRoom:
         plan = planned()
         fineness = replace(plan.settings, n_rays=min(plan.settings.n_rays, n_rays))
-        found = planned_trace(scene, fineness, plan.scattering, progress)
-        paths = found.paths
-        scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
-        factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
-        binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
-        doubts = (*plan.findings, *found.findings, *degenerate)
-        every_order = plan.settings.image_until_s is not None or not plan.settings.n_rays
-        return TracedRoom(scene, bands, binned, doubts, added & every_order)
+        own = replace(plan, settings=fineness)
+        found = traced_by(own, scene, bands, priors, directivities, progress)
+        every_order = fineness.image_until_s is not None or not fineness.n_rays
+        return TracedRoom(scene, bands, found.binned, found.findings, added & every_order)
 
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
@@ -324,26 +316,20 @@ def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
 
 def _short_bands(room: TracedRoom, absorption: FloatArray) -> Sequence[int]:
     """Return the bands in which the decay of some pair is not followed far enough."""
-    usable_db = np.array(
-        [
-            predicted_curve(room.scene, room.bands, room.binned, i, absorption).usable_db
-            for i in range(len(room.scene.pairs))
-        ]
-    )
-    return [int(j) for j in np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB)]
+    known = room.scene, room.bands, room.binned
+    pairs = range(len(room.scene.pairs))
+    usable_db = np.array([predicted_curve(*known, i, absorption).usable_db for i in pairs])
+    return np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB).tolist()
 
 
 def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
     if not short:
         return ()
-    centres = [float(bands.centres_hz[j]) for j in short]
-    return (
-        Finding(
-            Code.DECAY_NOT_FOLLOWED,
-            About(bands_hz=centres),
-            f"The trace does not follow the decay over 35 dB at "
-            f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
-            "absorb next to nothing.",
-            {"bands_hz": centres},
-        ),
+    bands_hz = [float(bands.centres_hz[j]) for j in short]
+    text = (
+        "The trace does not follow the decay over 35 dB at "
+        f"{', '.join(f'{f:g}' for f in bands_hz)} Hz: T30 is not predicted there. Some walls "
+        "absorb next to nothing."
     )
+    about = About(bands_hz=bands_hz)
+    return (Finding(Code.DECAY_NOT_FOLLOWED, about, text, {"bands_hz": bands_hz}),)

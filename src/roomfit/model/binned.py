@@ -64,18 +64,13 @@ def pair_energies(
     absorption: FloatArray,
     attenuation_per_m: FloatArray,
 ) -> FloatArray:
-    """Return the energies of one pair in every band and bin, shape (n_bands, n_bins).
-
-    Shapes: `absorption` (n_materials, n_bands), `attenuation_per_m` (n_bands,).
-    """
+    """Return the energies of one pair in every band and bin, shape (n_bands, n_bins)."""
     if not binned.by_band:
-        return weigh(binned.rows[pair], absorption, attenuation_per_m, derivative=False).energy
+        return weigh(binned.rows[pair], absorption, attenuation_per_m)
     found = []
     for band, centre_hz in enumerate(bands.centres_hz):
         rows, one = rows_at(binned, centre_hz)[pair], slice(band, band + 1)
-        found.append(
-            weigh(rows, absorption[:, one], attenuation_per_m[one], derivative=False).energy
-        )
+        found.append(weigh(rows, absorption[:, one], attenuation_per_m[one]))
     return np.concatenate(found)
 
 
@@ -109,12 +104,7 @@ def bin_paths(
 def reweighed(
     scene: Scene, bands: Bands, binned: BinnedPaths, factors: Iterable[FloatArray] | None
 ) -> BinnedPaths:
-    """Return the same bins with a factor on the weight of every path of the trace in every band.
-
-    All but the weights is the same in every band, and there once.
-
-    Shapes: `factors` (n_paths,).
-    """
+    """Return the same bins with a factor on the weight of every path of the trace in every band."""
     if factors is None:
         return BinnedPaths(binned.edges_s, binned.rows)
     by_band = {
@@ -125,10 +115,7 @@ def reweighed(
 
 
 def once(ends: IntArray, each: Iterable[EnergyRows]) -> tuple[EnergyRows, ...]:
-    """Return rows, with what is alike in all states of the room there once.
-
-    Shapes: `ends` (n, 2).
-    """
+    """Return rows, with what is alike in all states of the room there once."""
     found: dict[tuple[int, ...], EnergyRows] = {}
     both = zip(ends.tolist(), each, strict=True)
     return tuple(sharing(own, found.setdefault(tuple(at), own)) for at, own in both)

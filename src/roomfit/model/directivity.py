@@ -237,10 +237,7 @@ def directed_band(
     energies: EnergyTerm,
     files: Sequence[MeasuredPair],
 ) -> BandDirectivities:
-    """Return where the rows of a band leave the sources, nothing known of these yet.
-
-    Shapes: `bases` (n_rows, 3).
-    """
+    """Return where the rows of a band leave the sources, nothing known of these yet."""
     number = [int(scene.pairs[m.pair][0]) for m in files]
     source = directivity_parameters.of_source[number]
     known = directivity_parameters.aims or (None,) * len(scene.sources)

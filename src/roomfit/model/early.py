@@ -179,10 +179,7 @@ class DisplacedTerm(DataTerm):
 def fixed_paths(
     term: EnergyTerm, directivity: BandDirectivities | None, absorption: FloatArray, b: FloatArray
 ) -> FixedPaths:
-    """Return what stays of a band, linearised at an answer.
-
-    Shapes: `absorption` (n_materials,), `b` (n_sources, 3).
-    """
+    """Return what stays of a band, linearised at an answer."""
     observations = term.observations
     n_gains = max((o.gain for o in observations), default=-1) + 1
     values: dict[str, FloatArray] = {"absorption": absorption, "gain": np.ones(n_gains)}

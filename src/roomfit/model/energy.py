@@ -81,10 +81,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnergyTerm(DataTerm):
-    """Windows of one band, explained by energies of paths that add: absorption and gains.
-
-    Rows, hits and windows stand open, for methods that need more than a function to call.
-    """
+    """Windows of one band, explained by energies of paths that add: absorption and gains."""
 
     is_gamma: ClassVar[bool] = True
     centre_hz: float
@@ -159,10 +156,10 @@ class EnergyTerm(DataTerm):
 
         Reflections interfere, however finely one traces: the energy of a band of bandwidth B has
         the variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies
-        spread by the filter and Q that of the squares of each single one, so that a single
-        reflection carries no such noise. It may still fall on either side of a window's edge where
-        positions are a centimetre wrong. To this come background noise, its beat with the signal,
-        the trace's own Monte-Carlo noise (from independent batches) and the error of the model.
+        spread by the filter and Q that of the squares of each single one. It may still fall on
+        either side of a window's edge where positions are a centimetre wrong. To this come
+        background noise, its beat with the signal, the trace's own Monte-Carlo noise and the error
+        of the model.
         """
         gains = np.append(values["gain"], 1.0)
         paths = weighed(self, values["absorption"])
@@ -182,10 +179,7 @@ class EnergyTerm(DataTerm):
         return self
 
     def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> EnergyTerm:
-        """Return the windows with the directivity of each observation's source.
-
-        Shapes: `b` (3,), `basis` (n_rows, 3).
-        """
+        """Return the windows with the directivity of each observation's source."""
         pairs = zip(b, basis, strict=True)
         patterns = tuple(None if own is None else RowPattern(own, at) for own, at in pairs)
         return replace(self, patterns=patterns)
@@ -202,10 +196,7 @@ def only_energies(objective: Objective) -> EnergyTerm | None:
 
 
 def in_air(term: EnergyTerm) -> EnergyTerm:
-    """Return the same term with the air's loss put into the rows' weights for good.
-
-    Saves an exponential a row and evaluation; costs the memory of the weights in this band.
-    """
+    """Return the same term with the air's loss in the rows' weights: an exponential a row less."""
     m = term.attenuation_per_m
     return replace(
         term,
@@ -288,10 +279,7 @@ def observation_variance(
 def noise_and_model_variance(
     problem: EnergyTerm, observed: Observation, signal: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the variance of each window by background noise and by the errors of the model.
-
-    Shapes: `signal` (n_windows,).
-    """
+    """Return the variance of each window by background noise and by the errors of the model."""
     noise = observed.noise * (observed.noise + 2.0 * signal)
     noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
     ringing = observed.late_shares @ signal
@@ -304,10 +292,7 @@ def noise_and_model_variance(
 def model_variance(
     problem: EnergyTerm, measured: FloatArray, signal: FloatArray, ringing: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the variance of each window by the errors of the model, (n_windows,) each.
-
-    Shapes: `measured, signal` (n_windows,), `ringing` (n_windows,).
-    """
+    """Return the variance of each window by the errors of the model, (n_windows,) each."""
     # where the measurement is far above, its own size bounds the certainty: a window that a
     # trial absorption leaves empty must not outweigh all others
     scale = np.maximum(signal, 0.5 * measured)
@@ -325,8 +310,7 @@ def end_to_end(parts: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArra
 def squared_image_rows(rows: EnergyRows) -> EnergyRows:
     """Return rows whose weighed energies are the squared energies of the single image paths.
 
-    ``(w exp(-m d) x**h)**2`` is the energy of a path with the weight squared and length and hits
-    doubled. Rays are left out: they sample very many weak reflections, whose squares vanish.
+    Rays are left out: they sample very many weak reflections, whose squares vanish.
     """
     few = taken_rows(rows, np.flatnonzero(rows.batch < 0))
     return replace(
@@ -351,9 +335,8 @@ def fine_edges_s(edges_s: FloatArray, bandwidth_hz: float) -> FloatArray:
 def late_shares(edges_s: FloatArray) -> FloatArray:
     """Return which share of each window's energy every later one gets if it rings for 2 ms.
 
-    If all energy came late by an exponential of 2 ms. Without it a window between two reflections
-    would be expected to be empty, with certainty. Shape (n_windows, n_windows), of the window that
-    gets it and that which gives it.
+    Without it a window between two reflections would be expected to be empty, with certainty. Shape
+    (n_windows, n_windows), of the window that gets it and that which gives it.
     """
     middle_s = 0.5 * (edges_s[1:] + edges_s[:-1])
     late_s = np.maximum(edges_s[:, None] - middle_s[None, :], 0.0)

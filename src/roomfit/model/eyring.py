@@ -22,13 +22,8 @@ def eyring_absorption(
 ) -> float:
     """Return the absorption which, on all walls alike, gives a decay rate by Eyring's law.
 
-    ``k = c (m - S ln(1 - a) / (4 V))``, kept within 0.02 to 0.98 so that a search can move either
-    way.
-
-    References
-    ----------
-    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1,
-           217-241 (1930).
+    ``k = c (m - S ln(1 - a) / (4 V))`` (J. Acoust. Soc. Am. 1, 217 (1930)), kept within 0.02 to
+    0.98 so that a search can move either way.
     """
     loss_per_m = decay_rate_per_s / speed_of_sound_m_s - attenuation_per_m
     absorption = -np.expm1(-loss_per_m * 4.0 * volume_m3 / surface_m2)
@@ -52,11 +47,8 @@ def eyring_time_s(
 
 
 def schroeder_hz(decay_s: FloatArray, volume_m3: float) -> FloatArray:
-    """Return the Schroeder frequency: below it the field is not diffuse, single modes are resolved.
+    """Return the Schroeder frequency ``2000 (T / V) ** 0.5``; below it single modes are resolved.
 
-    References
-    ----------
-    .. [1] M. R. Schroeder, "The 'Schroeder frequency' revisited", J. Acoust. Soc. Am. 99,
-           3240-3241 (1996): ``2000 (T / V) ** 0.5`` in Hz, s and m3.
+    M. R. Schroeder, J. Acoust. Soc. Am. 99, 3240 (1996).
     """
     return np.asarray(2000.0 * np.sqrt(decay_s / volume_m3))

@@ -55,10 +55,7 @@ def energy_terms(
     periods: float = 1.5,
     fine_s: float = 0.0,
 ) -> Iterator[tuple[EnergyTerm, Parameters] | None]:
-    """Make the windows of one band after the other, see `energy_term`.
-
-    Terms of large jobs are large: take what is needed of one before asking for the next.
-    """
+    """Make the windows of one band after the other, see `energy_term`: take them one by one."""
     for band in range(len(bands)):
         yield energy_term(scene, bands, priors, measured, binned, start, band, (periods, fine_s))
 
@@ -75,12 +72,8 @@ def energy_term(
 ) -> tuple[EnergyTerm, Parameters] | None:
     """Return the windows of a band, with their unknowns, of the measurements to be fitted.
 
-    None where fewer windows rise above the noise than there are unknowns.
-
-    Shapes: `start` (n_bands,).
-
-    A measurement is left out of the bands in which no decay rises above its noise: one window of
-    noise would determine neither the walls nor its gain.
+    None where fewer windows rise above the noise than there are unknowns. A measurement is left out
+    of the bands in which no decay rises above its noise.
     """
     attenuation = attenuation_per_m(scene.air, bands)
     fitted = fitted_in_band(measured, band)
@@ -230,7 +223,7 @@ def _gain_block(labels: tuple[str, ...], term: EnergyTerm, absorption: Block) ->
     for own, observed in zip(term.rows, term.observations, strict=True):
         if observed.gain < 0:
             continue
-        energy = weigh(own, absorption.start[:, None], air, derivative=False).energy[0]
+        energy = weigh(own, absorption.start[:, None], air)[0]
         sums[0, observed.gain] += float(np.maximum(observed.energy - observed.noise, 0.0).sum())
         sums[1, observed.gain] += float((observed.spreading @ energy).sum())
     for label, (found, expected) in zip(labels, sums.T, strict=True):

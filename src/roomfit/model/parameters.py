@@ -177,8 +177,7 @@ def physical_values(
 def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> FloatArray:
     """Return the Jacobian by the free vector from the blocks' own, shape (n_rows, n_free).
 
-    `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n). What is left
-    out does not depend on that block.
+    What is left out does not depend on that block.
     """
     n_rows = len(next(iter(jacobians.values())))
     columns = []
@@ -202,10 +201,8 @@ def prior_covariance(block: Block) -> FloatArray:
 def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what every fitted entry with a finite prior is off its mean, and the Jacobian rows.
 
-    In standard deviations: (free - mean) / sd where priors are independent, the inverse Cholesky
-    root of the covariance times (free - mean) where a block's are correlated.
-
-    Shapes: residuals (n_priors,), jacobian (n_priors, n_free).
+    In standard deviations, whitened by the inverse Cholesky root of a covariance where a block's
+    are correlated; shapes (n_priors,) and (n_priors, n_free).
     """
     mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
     sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])
@@ -231,10 +228,7 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
 
 
 def marginal_information(information: FloatArray, first: int) -> FloatArray:
-    """Return the information about the last unknowns when all before `first` are integrated out.
-
-    The Schur complement; shape (n - first, n - first) of (n, n).
-    """
+    """Return the information about the last unknowns, all before `first` integrated out (Schur)."""
     cross = information[first:, :first]
     determined = np.linalg.solve(information[:first, :first], cross.T)
     return np.asarray(information[first:, first:] - cross @ determined)

@@ -26,10 +26,7 @@ from roomfit.tracing.paths import Paths
 def amplitude_and_slope(
     b: FloatArray, departure: NDArray[np.float32] | FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the amplitude a of every direction, (n,), and its derivative by b, (n, 3).
-
-    Shapes: `b` (3,), `departure` (n, 3).
-    """
+    """Return the amplitude a of every direction, (n,), and its derivative by b, (n, 3)."""
     b = np.asarray(b, dtype=np.float64)
     norm = 1.0 + b @ b / 3.0
     amplitude = (1.0 + departure @ b) / np.sqrt(norm)
@@ -134,10 +131,7 @@ def sphere_mean(factor: FloatArray) -> FloatArray:
 
 
 def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: int) -> FloatArray:
-    """Return the factor of one band for directions in the room, shape (n_paths,).
-
-    Shapes: `departure` (n_paths, 3).
-    """
+    """Return the factor of one band for directions in the room, shape (n_paths,)."""
     front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
     table = source.factor[band]
     polar = np.arctan2(np.hypot(left, top), front) / np.pi * (table.shape[0] - 1)
@@ -195,10 +189,8 @@ def pattern_basis(
     """Return what the amplitude of a `Pattern` is linear in, shape (n, 3).
 
     The direction itself, or about a known aim Legendre polynomials of the cosine of the angle to
-    it: a loudspeaker of one or two ways is alike all around its axis, and narrower than any
-    pattern of first order.
-
-    Shapes: `departure` (n, 3), `aim` (3,).
+    it: a loudspeaker of one or two ways is alike all around its axis, and narrower than any of
+    first order.
     """
     if aim is None:
         return departure
@@ -207,10 +199,7 @@ def pattern_basis(
 
 
 def aimed(aim: ArrayLike, b: float) -> Pattern:
-    """Return the first-order directivity with an axis and a strength.
-
-    Shapes: `aim` (3,).
-    """
+    """Return the first-order directivity with an axis and a strength."""
     return Pattern(b * unit_vector(aim))
 
 

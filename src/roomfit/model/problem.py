@@ -223,12 +223,9 @@ def normal_log_likelihood(
 def gamma_log_likelihood(
     measured: FloatArray, expected: FloatArray, variance: FloatArray
 ) -> FloatArray:
-    """Return the log density of energies that follow Gamma laws of given mean and variance.
+    """Return the log density of energies that follow Gamma laws of given mean and variance, (n,).
 
-    A window's energy is a sum of squares of nearly Gaussian pressures: never negative, skew, with
-    a standard deviation that grows with its mean.
-
-    Shape (n,). Shapes: `measured, expected, variance` (n,).
+    A window's energy is a sum of squares of nearly Gaussian pressures: never negative, and skew.
     """
     least = 1e-9 * float(expected.max(initial=0.0)) + np.finfo(np.float64).tiny
     expected = np.maximum(expected, least)

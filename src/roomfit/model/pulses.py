@@ -47,15 +47,9 @@ class BandGrid:
 def band_grid(band: Bands, first_s: float, last_s: float) -> BandGrid:
     """Return the grid of a single band that contains the times from first to last.
 
-    Notes
-    -----
     Impulses between grid points are spread over six points by a Kaiser-Bessel kernel, whose
-    spectrum the filter divides out [1]_. The pressure is exact to 1e-5 of a path's amplitude.
-
-    References
-    ----------
-    .. [1] P. J. Beatty, D. G. Nishimura, J. M. Pauly, "Rapid gridding reconstruction with a
-           minimal oversampling ratio", IEEE Trans. Med. Imaging 24, 799-808 (2005).
+    spectrum the filter divides out (P. J. Beatty, D. G. Nishimura, J. M. Pauly, IEEE Trans. Med.
+    Imaging 24, 799 (2005)). The pressure is exact to 1e-5 of a path's amplitude.
     """
     centre_hz = float(band.exact_centres_hz[0])
     top_hz = float(band.upper_hz[0] ** 2 / centre_hz)
@@ -91,10 +85,7 @@ def image_pulses(rows: EnergyRows, own: IntArray, absorption: FloatArray) -> Flo
 def energy_of_pulses(
     at_s: FloatArray, heights: FloatArray, edges_s: FloatArray, band: Bands
 ) -> FloatArray:
-    """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,).
-
-    Shapes: `at_s, heights` (n,), `edges_s` (n_windows + 1,).
-    """
+    """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,)."""
     grid = band_grid(band, float(edges_s[0]), float(edges_s[-1]))
     place = (at_s - grid.first_s) * grid.rate_hz
     behind = np.floor(place).astype(np.int64)
@@ -120,11 +111,8 @@ def interference(
 ) -> FloatArray:
     """Return what the pressures of image sources add to their energies, shape (n_bands, n_bins).
 
-    In the unit of path energies, over time as the filters show them; less than 0 where pressures
-    cancel, and 0 in a band that is not chosen. Images arrive when their lengths say, and walls turn
-    no phase. Rays, which stand for what has no image, add energies alone.
-
-    Shapes: `absorption` (n_materials, n_bands), `chosen` (n_bands,).
+    Over time as the filters show them; less than 0 where pressures cancel, and 0 in a band that is
+    not chosen. Walls turn no phase. Rays, which stand for what has no image, add energies alone.
     """
     edges_s, found = binned.edges_s, np.zeros((len(bands), binned.edges_s.size - 1))
     speed_m_s, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)

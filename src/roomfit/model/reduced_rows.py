@@ -46,10 +46,7 @@ class ReducedRows:
         return replace(self, bands=chosen, by_band=tuple(self.by_band[b] for b in at))
 
     def energies(self, absorptions: FloatArray) -> FloatArray:
-        """Return the energies under several absorptions, (n_points, n_bands, n_bins).
-
-        Shapes: `absorptions` (n_points, n_materials, n_bands).
-        """
+        """Return the energies under several absorptions, (n_points, n_bands, n_bins)."""
         bands = range(len(self.by_band))
         return np.stack([self.band_energies(b, absorptions[:, :, b]) for b in bands], axis=1)
 
@@ -97,17 +94,10 @@ class ReducedRows:
     ) -> FloatArray:
         """Return how alike reflections interfere before and after a change, (n_names, n_bands).
 
-        1 where nothing changes, towards 0 where other walls return the energy.
-
-        Shapes: `before, after` (n_materials, n_bands); which are exchanged (n_materials,).
-
-        Pressures of paths with the energies ``e_i`` before and ``f_i`` after, of random phases,
-        bring energies with the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths
-        bring, over paths whose phase is common to both states: those that meet no wall that is
-        exchanged, since the phase that another material reflects with is not known: a panel that is
-        turned returns other phases even where its two sides absorb alike.
-        `roomfit.model.room_parameters.value_covariances` carries variances through the
-        derivatives of a value alike.
+        1 where nothing changes, towards 0 where other walls return the energy. Pressures of paths
+        with the energies ``e_i`` before and ``f_i`` after, of random phases, bring energies with
+        the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths bring, over paths that
+        meet no wall that is exchanged: the phase that another material reflects with is not known.
         """
         # a wall that absorbs all leaves the paths that never meet it
         kept = np.sqrt((1.0 - before) * (1.0 - after))
@@ -136,14 +126,9 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
     """Return a reduced set of rows that reproduces the energies for several absorptions.
 
     The cases are an absorption, each of its walls changed, and all of them. In every stretch of ten
-    bins rows are drawn with the largest share that they have of the energy in any case, and are
-    weighed accordingly; then weights move as little as it takes to bring the energies of all rows.
-
-    Shapes: `absorption` (n_materials,).
-
-    Systematic sampling with unequal probabilities, and the regression estimator: J.-C. Deville,
-    C.-E. Sarndal, "Calibration estimators in survey sampling", J. Am. Stat. Assoc. 87, 376-382
-    (1992).
+    bins rows are drawn with the largest share that they have of the energy in any case; then
+    weights move as little as it takes to bring the energies of all rows: J.-C. Deville, C.-E.
+    Sarndal, "Calibration estimators in survey sampling", J. Am. Stat. Assoc. 87, 376-382 (1992).
     """
     if len(rows) <= most:
         return rows

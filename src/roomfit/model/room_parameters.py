@@ -126,7 +126,7 @@ class ValuesTerm(DataTerm):
         own = values["absorption"][:, None], np.array([self.attenuation_per_m])
         found = []
         for i, (rows, observed) in enumerate(zip(self.rows, self.observations, strict=True)):
-            curve = _curve(self, i, weigh(rows, *own, derivative=False).energy)[0]
+            curve = _curve(self, i, weigh(rows, *own))[0]
             found.append(value_gradients(curve, 0, observed.names, derivative=False)[0])
         return np.concatenate(found)
 
@@ -158,8 +158,6 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
 
     Exact at one absorption, from which ratios of decay times and differences of all else are taken
     with fewer paths: within a tenth of a just noticeable difference where changes are 14 of them.
-
-    Shapes: `absorption` (n_materials,).
     """
     whole = fft.irfft(term.spreading.spectrum, term.spreading.length)
     # what is carried farther than this is a thousandth
@@ -227,10 +225,7 @@ def scatter_parts(
     read: Callable[..., tuple[FloatArray, FloatArray]],
     decay: _Decay | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return numbers read from the decay of a pair, and how measured ones scatter about them.
-
-    Shapes: values (n,), interference (n, n), added (n,), tracing (n, n).
-    """
+    """Return numbers read from the decay of a pair, and how measured ones scatter about them."""
     own = _decay(term, i, absorption, read) if decay is None else decay
     interference = _interference(term, own)
     added = np.zeros_like(own.values)
@@ -270,7 +265,7 @@ def _decay(
     curve, spread = _curve(term, i, parts.energy[None])
     values, gradients = read(curve)
     before = despread(term.spreading, gradients)
-    by_absorption = before @ parts.columns[:, 2 + len(parts.batches) : -3]
+    by_absorption = before @ parts.by_absorption
     batches = parts.batches @ before.T
     return _Decay(parts.energy, parts.squares, spread, values, gradients, batches, by_absorption)
 
@@ -296,8 +291,6 @@ def curve_by_pressures(
 
     Images on a lattice keep their order: between walls that differ much their pressures leave 3 to
     7 dB less than their energies 15 to 30 dB down the decay, at all positions alike.
-
-    Shapes: `energy` (1, n_bins).
     """
     rows, edges = term.rows[i], term.edges_s
     image = np.flatnonzero(rows.length_m > 0.0)
@@ -436,7 +429,7 @@ def predicted_values(
         chosen = slice(band, band + 1)
         for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
             own = absorption[:, chosen], attenuation[chosen]
-            energy = weigh(rows, *own, derivative=False).energy
+            energy = weigh(rows, *own)
             curve = echogram_decay_curve(
                 one, spread_energy(spreading, energy), coarse.edges_s, float(direct_s[pair])
             )

@@ -26,18 +26,10 @@ _FEWEST_IN_SLICE = 32
 def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
     """Return the factor on each path's weight that turns the sampled scattering into another.
 
-    A path with d diffuse and n specular hits on a material was drawn with probability
-    ``s0**d (1 - s0)**n`` and would be with ``s**d (1 - s)**n``, multiplied over materials; the
-    factor is their ratio. Of paths that were drawn with several s0 by turns, in groups of as many
-    rays, the former is the mean over groups, whichever group drew a path (the balance heuristic):
-    no factor exceeds the number of groups times that of any group by itself.
-
-    Shape (n_paths,).
-
-    References
-    ----------
-    .. [1] E. Veach and L. J. Guibas, "Optimally Combining Sampling Techniques for Monte Carlo
-       Rendering", SIGGRAPH 1995.
+    A path with d diffuse and n specular hits on a material was drawn with probability ``s0**d (1 -
+    s0)**n`` and would be with ``s**d (1 - s)**n``, multiplied over materials; the factor is their
+    ratio. Of paths drawn with several s0 by turns the former is the mean over groups, whichever
+    group drew a path (the balance heuristic, E. Veach and L. J. Guibas, SIGGRAPH 1995).
     """
     _check_drawn(paths, scattering)
     traced, wanted = paths.sampling_scattering, scattering.coefficients
@@ -116,9 +108,7 @@ def rows_for_band(
 ) -> tuple[tuple[EnergyRows, ...], float]:
     """Return rows with the weights that another scattering gives them, and what they are worth.
 
-    Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact. What they are worth
-    is the least `effective_sample_fraction` of the pairs: trace again, nearer to what is wanted,
-    where that is below `LEAST_EFFECTIVE_FRACTION`.
+    The least `effective_sample_fraction` of the pairs; image paths stay exact.
     """
     if np.array_equal(scattering.coefficients[None], paths.sampling_scattering):
         return tuple(rows), 1.0
@@ -133,9 +123,8 @@ def rows_for_band(
 def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
     """Return the effective sample size of a pair's rays after reweighing, as a share of before.
 
-    Kish's effective number by the new weights over that by the old ones, in eighths of the rays by
-    time, the least of them: weights degenerate with every hit, so that the late part suffers
-    first. At most 1.
+    In eighths of the rays by time, the least of them: weights degenerate with every hit, so that
+    the late part suffers first.
     """
     rays = np.flatnonzero(rows.batch >= 0)
     n_slices = int(np.clip(len(rays) // _FEWEST_IN_SLICE, 1, _SLICES))
@@ -153,15 +142,13 @@ def sampling_groups(
 ) -> FloatArray:
     """Return the coefficients to trace with, so that no band loses too many rays to its weights.
 
-    As few groups of neighbouring bands as give every band an effective sample fraction of 0.2
-    after so many hits, each traced with the mean of its bands. Groups divide the bands by equal
-    shares of the distance ``2 asin(sqrt(s))`` that the coefficients go from band to band: of paths
-    with h hits, drawn with s0 and weighed for s, the fraction is near ``exp(-h d**2)`` for
-    coefficients at the distance d, whatever they are. With one group for every coefficient that
-    differs there is no further one, and the fraction is at least 1 over their number.
+    As few groups of neighbouring bands as give every band an effective sample fraction of 0.2 after
+    so many hits, each traced with the mean of its bands, (n_groups, n_materials). Groups divide the
+    bands by equal shares of the distance ``2 asin(sqrt(s))`` that the coefficients go from band to
+    band: of paths with h hits, drawn with s0 and weighed for s, the fraction is near ``exp(-h
+    d**2)`` for coefficients at the distance d, whatever they are.
 
-    Shape (n_groups, n_materials). Shapes: `wanted` (n_materials, n_bands), `single` (n_materials,),
-    `hits` (n_materials,).
+    Shapes: `wanted` (n_materials, n_bands), `single` and `hits` (n_materials,).
     """
     groups = single[None]
     best, largest = groups, 0.0
@@ -193,11 +180,8 @@ def effective_fractions(
     """Return the effective sample fraction that every band will have, shape (n_bands,).
 
     ``(sum f)**2 / (n sum f**2)`` of the factors f of `scattering_weights` and n rays of all groups
-    together. It is one over the mean of f among paths that are drawn with the band's own
-    scattering, whose numbers of hits follow Poisson's distribution.
-
-    Shapes: `groups` (n_groups, n_materials), `wanted` (n_materials, n_bands), `hits`
-    (n_materials,).
+    together: one over the mean of f among paths that are drawn with the band's own scattering,
+    whose numbers of hits follow Poisson's distribution.
     """
     if len(groups) == 1:  # in closed form; drawn weights would be of few large ones
         room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]

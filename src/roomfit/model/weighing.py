@@ -72,26 +72,9 @@ def energy_rows(
 ) -> EnergyRows:
     """Return the rows of one pair, each in the window ``edges[w] <= length / c < edges[w + 1]``.
 
-    Paths before the first edge or from the last on are left out. Within a window the rows keep
-    the order of the paths. `own` are the paths of the pair where they are known, of
-    `roomfit.tracing.paths.paths_of_pairs`. An `InputError` where there is no such pair, or the
-    edges do not rise.
-
-    Shapes: `edges_s` (n_windows + 1,), `own` (n_own,).
-
-    Examples
-    --------
-    >>> from roomfit.materials.priors import uniform_scattering
-    >>> from roomfit.room.scene import scene_of, shoebox_room
-    >>> from roomfit.tracing.paths import TraceSettings
-    >>> from roomfit.tracing.trace import trace
-    >>> room = shoebox_room((6.0, 5.0, 3.0), "plaster")
-    >>> scene = scene_of(room, {"LS1": (1.0, 1.0, 1.5)}, {"MP1": (4.0, 3.0, 1.5)})
-    >>> settings = TraceSettings(duration_s=0.1, n_rays=0, image_order=1)
-    >>> paths = trace(scene, settings, uniform_scattering(("plaster",), 0.0)).paths
-    >>> rows = energy_rows(paths, 0, np.array([0.0, 0.012, 0.03]), speed_of_sound_m_s=343.0)
-    >>> np.diff(rows.offsets).tolist()  # the direct sound, and six reflections
-    [1, 6]
+    Paths before the first edge or from the last on are left out. Within a window the rows keep the
+    order of the paths. `own` are the paths of the pair where they are known. An `InputError` where
+    there is no such pair, or the edges do not rise.
     """
     check_range("the number of the pair of source and receiver", pair, 0, paths.n_pairs - 1)
     edges = float_array("window edges", edges_s, (None,), unit="s")
@@ -120,11 +103,10 @@ def energy_rows(
 def merge_equal_rows(rows: EnergyRows) -> EnergyRows:
     """Return fewer rows with the same energies: those of equal window and hits become one.
 
-    Helps in small rooms without scattering (2 to 12 times fewer rows), hardly elsewhere. Exact
-    without air, and after `rows_in_air`. With air, a merged row has the mean length of its parts,
-    weighed by their weights; its energy is then too small by at most the fraction ``(m D)**2 / 8``
-    for lengths that differ by up to D (Jensen's inequality, second order): 2e-6 for 0.01 per metre
-    and a window of 1 ms. Merged rows belong to no batch.
+    Exact without air, and after `rows_in_air`. With air, a merged row has the mean length of its
+    parts; its energy is then too small by at most the fraction ``(m D)**2 / 8`` for lengths that
+    differ by up to D (Jensen's inequality): 2e-6 for 0.01 per metre and a window of 1 ms. Merged
+    rows belong to no batch.
     """
     window = window_of_rows(rows)
     keys = np.column_stack([window, rows.hits])
@@ -152,8 +134,7 @@ def merge_equal_rows(rows: EnergyRows) -> EnergyRows:
 def sharing(rows: EnergyRows, like: EnergyRows) -> EnergyRows:
     """Return the same rows with the arrays of other rows in place of those that are equal to them.
 
-    A pair that was measured in several states of the room has the paths of one trace in each: only
-    their hits differ, which are counted by the materials of the state. Of longer arrays the
+    States of the room have the paths of one trace: only their hits differ. Of longer arrays the
     beginning is compared, since what is read of a state may end earlier.
     """
     names = ("weight_per_m2", "length_m", "batch")
@@ -163,11 +144,7 @@ def sharing(rows: EnergyRows, like: EnergyRows) -> EnergyRows:
 
 
 def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
-    """Return rows of one band with the air's ``exp(-m length)`` included in the weights.
-
-    To be weighed without attenuation; their lengths are 0, so that none acts twice. Saves the
-    exponentials where one band is weighed many times, and makes `merge_equal_rows` exact.
-    """
+    """Return rows of one band with the air's ``exp(-m length)`` in the weights and lengths of 0."""
     return replace(
         rows,
         weight_per_m2=rows.weight_per_m2 * np.exp(-attenuation_per_m * rows.length_m),
@@ -187,10 +164,7 @@ def _zeros_of_size(size: int) -> FloatArray:
 
 
 def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
-    """Return the same rows with every weight times a factor of its path.
-
-    Shapes: `factors` (n_paths,).
-    """
+    """Return the same rows with every weight times a factor of its path, (n_paths,)."""
     if rows.path is None:
         what = "rows that are no single paths cannot be reweighed"
         needed, hint = "rows as `energy_rows` makes them", "reweigh before merging equal rows"
@@ -199,10 +173,7 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 
 
 def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
-    """Return the same rows in coarser windows, each from one of the old ones up to the next.
-
-    Shapes: `first` (n_new,).
-    """
+    """Return the same rows in coarser windows, each from one of the old ones up to the next."""
     return replace(
         rows, n_windows=first.size, offsets=rows.offsets[np.append(first, rows.n_windows)]
     )
@@ -250,9 +221,8 @@ def _offsets(window: IntArray, n_windows: int) -> IntArray:
 def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
     """Return at most about `most` rows: the earliest half of them, and every k-th of all others.
 
-    The latter get k times their weight, so that no energy is lost on average. Energies from thinned
-    rows are noisy; their change with the absorption is much less so, because the same rows are
-    weighed on both sides.
+    The latter get k times their weight. Energies from thinned rows are noisy; their change with the
+    absorption is much less so, because the same rows are weighed on both sides.
     """
     if len(rows) <= most:
         return rows
@@ -319,6 +289,11 @@ class EnergyParts(NamedTuple):
     # by absorption and by b of the source; without the latter where none was asked for
     columns: FloatArray
 
+    @property
+    def by_absorption(self) -> FloatArray:
+        """Derivative of the energy, exact at a = 0 and a = 1 too, (n_windows, n_materials)."""
+        return self.columns[:, 2 + len(self.batches) : -3]
+
 
 def weigh_parts(
     rows: EnergyRows,
@@ -331,10 +306,7 @@ def weigh_parts(
     """Return energies of one band, squares of its image paths and its batches of rays in one pass.
 
     Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
-    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
-    Same bits for any number of threads.
-
-    Shapes: `coefficients` (n_materials,).
+    direction. Rays have no squares. Same bits for any number of threads.
     """
     one = coefficients[:, None], np.array([attenuation_per_m])
     reflected, attenuation = _reflected_and_attenuation(rows, *one)
@@ -476,27 +448,11 @@ def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factor)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EnergyResponse:
-    """Energy of every band and window of one pair."""
+def weigh(rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray) -> FloatArray:
+    """Return the window energies under an absorption, (n_bands, n_windows).
 
-    energy: FloatArray  # (n_bands, n_windows), 1/m2; direct sound at r metres: ``1 / (4 pi r**2)``
-    # (n_materials, n_bands, n_windows), by the absorption of each material in the same band
-    derivative: FloatArray | None
-
-
-def weigh(
-    rows: EnergyRows,
-    coefficients: FloatArray,
-    attenuation_per_m: FloatArray,
-    *,
-    derivative: bool = True,
-) -> EnergyResponse:
-    """Return the window energies under an absorption: one pass over the rows a band.
-
-    Smooth in every coefficient and falling in each. The derivative, left out on request, is exact,
-    at a = 0 and a = 1 too. Same bits for any number of threads. An `InputError` where a shape is
-    wrong or a value out of range.
+    In 1/m2: that of the direct sound at r metres is ``1 / (4 pi r**2)``. An `InputError` where a
+    shape is wrong or a value out of range.
 
     Shapes: `coefficients` (n_materials, n_bands), `attenuation_per_m` (n_bands,).
 
@@ -508,21 +464,12 @@ def weigh(
     ...     ("wall",), 1, np.array([0, 2]), np.array([1.0, 0.5]), np.array([[0], [2]]),
     ...     np.array([3.0, 5.0]), np.array([-1, -1]),
     ... )
-    >>> response = weigh(rows, np.array([[0.5]]), np.array([0.0]))
-    >>> response.energy, response.derivative
-    (array([[1.125]]), array([[[-0.5]]]))
+    >>> weigh(rows, np.array([[0.5]]), np.array([0.0]))
+    array([[1.125]])
     """
     reflected, attenuation = _reflected_and_attenuation(rows, coefficients, attenuation_per_m)
-    each = [
-        _parts(rows, None, x, m, derivative=derivative)
-        for x, m in zip(reflected, attenuation.tolist(), strict=True)
-    ]
-    energy = np.stack([parts.energy for parts in each])
-    if not derivative:
-        return EnergyResponse(energy, None)
-    n = len(rows.materials)
-    by_absorption = np.stack([parts.columns[:, -3 - n : -3].T for parts in each], axis=1)
-    return EnergyResponse(energy, by_absorption)
+    each = zip(reflected, attenuation.tolist(), strict=True)
+    return np.stack([_parts(rows, None, x, m, derivative=False).energy for x, m in each])
 
 
 @kernel()

@@ -67,10 +67,7 @@ def spread_squared_energy(spreading: Spreading, squares: FloatArray) -> FloatArr
 
 
 def despread(spreading: Spreading, gradients: FloatArray) -> FloatArray:
-    """Return derivatives by the energies before the filter from those by the energies after it.
-
-    The transpose of `spread_energy`; shapes (..., n_bins).
-    """
+    """Return derivatives by the energies before the filter from those by the energies after it."""
     return _through(spreading, np.conj(spreading.spectrum), gradients)
 
 
@@ -90,8 +87,6 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
 
     From the line through what is left at the windows' beginnings, 5 to 25 or 0 to 10 dB below the
     whole; NaN where fewer than three lie there. Energy after the last window is left out.
-
-    Shapes: `edges_s` (n_windows + 1,), `energy` (n_windows,).
     """
     highest_db, lowest_db = WINDOW_DECAYS[name]
     left = np.cumsum(np.maximum(energy, 0.0)[::-1])[::-1]
@@ -146,13 +141,11 @@ def window_edges_s(
     periods: float = 1.5,
     fine_s: float = 0.0,
 ) -> FloatArray:
-    """Return the edges of the windows in which a band's energy is compared.
+    """Return the edges of the windows in which a band's energy is compared, (n_windows + 1,).
 
-    The first window holds the direct sound. Widths are ``max(dt, 0.1 (t - direct))`` with
-    ``dt = max(1 ms, periods / B)``: a band of bandwidth B does not resolve time any finer, and late
-    energy falls so evenly that a tenth of the elapsed time loses nothing.
-
-    Shape (n_windows + 1,).
+    The first window holds the direct sound. Widths are ``max(dt, 0.1 (t - direct))`` with ``dt =
+    max(1 ms, periods / B)``: a band of bandwidth B does not resolve time any finer, and late energy
+    falls so evenly that a tenth of the elapsed time loses nothing.
     """
     finest_s = max(1e-3 if fine_s == 0.0 else 0.5e-3, periods / bandwidth_hz)
     before_s = 2.0 * max(1e-3, 1.5 / bandwidth_hz)

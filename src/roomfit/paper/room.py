@@ -19,13 +19,11 @@ from roomfit.base.arguments import read_only
 from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import uniform_scattering
-from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, weigh
+from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, weigh, weigh_parts
 from roomfit.room.build import build_mesh
 from roomfit.room.scene import Point, Room, Scene
 from roomfit.tracing.paths import Directions, Paths, TraceSettings, hits
 from roomfit.tracing.rays import trace_rays
-
-_NO_AIR = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,8 +42,7 @@ class SquaresProblem:
 
 def window_energies(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
     """Return R of equation (1) for absorption of shape (n_materials,), shape (n_windows,)."""
-    response = weigh(rows, absorption[:, None], _NO_AIR, derivative=False)
-    return np.asarray(response.energy[0])
+    return np.asarray(weigh(rows, absorption[:, None], np.zeros(1))[0])
 
 
 def error(problem: SquaresProblem, absorption: FloatArray) -> float:
@@ -59,9 +56,8 @@ def error(problem: SquaresProblem, absorption: FloatArray) -> float:
 
 def residuals(problem: SquaresProblem, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return ``R - M``, shape (n_windows,), and its derivative, shape (n_windows, n_materials)."""
-    response = weigh(problem.rows, absorption[:, None], _NO_AIR)
-    assert response.derivative is not None  # noqa: S101 -- it is asked for
-    return response.energy[0] - problem.measured, response.derivative[:, 0, :].T
+    parts = weigh_parts(problem.rows, None, absorption, 0.0, derivative=True)
+    return parts.energy - problem.measured, parts.by_absorption
 
 
 RECONSTRUCTED = "Room reconstructed from the arrival times and Table 2 of the paper."
