@@ -15,12 +15,7 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.batch import rooms as batch
-from roomfit.batch.rooms import (
-    campaign_paths,
-    identify_rooms,
-    room_tasks,
-    shard_of,
-)
+from roomfit.batch.rooms import campaign_paths, identify_rooms, room_tasks, shard_of
 from roomfit.cli import main
 
 ROOM = """

@@ -280,7 +280,7 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
     reported = {
         "results.md": [
             f"(φ at most {LARGEST_CHI2_REDUCED:g}), "
-            f"the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
+            f"the interval is no wider than {WIDEST_IDENTIFIABLE:g}"
         ],
         "findings.md": [
             f"explains the responses best, and {default_s:g} where there are only room",

@@ -35,8 +35,7 @@ def incomplete_refusals() -> int:
 
 
 @pytest.mark.parametrize(
-    "what",
-    ("modules", "lines", "core_lines", "records", "constants", "incomplete_refusals"),
+    "what", ("modules", "lines", "core_lines", "records", "constants", "incomplete_refusals")
 )
 def test_the_house_does_not_grow(what: str) -> None:
     """Each noun, module and constant is one more that a reader has to learn.

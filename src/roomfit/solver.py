@@ -18,12 +18,7 @@ import numpy as np
 from scipy.special import digamma, polygamma
 
 from roomfit.base.typing import FloatArray, Progress
-from roomfit.model.parameters import (
-    Marginal,
-    marginal_information,
-    prior_residuals,
-    start_vector,
-)
+from roomfit.model.parameters import Marginal, marginal_information, prior_residuals, start_vector
 from roomfit.model.problem import Objective, Prediction
 from roomfit.settings import MAX_ROUNDS
 

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.demo.boxes import (
-    SyntheticBox,
-    add_noise,
-    box_images,
-    loudspeaker,
-    pressure_response,
-)
+from roomfit.demo.boxes import SyntheticBox, add_noise, box_images, loudspeaker, pressure_response
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 

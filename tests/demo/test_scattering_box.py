@@ -9,10 +9,7 @@ import pytest
 
 from roomfit.base.typing import FloatArray
 from roomfit.demo.boxes import SyntheticBox, box_images
-from simulated_rooms.scattering_box import (
-    ECHOGRAM_BIN_S,
-    diffuse_echogram,
-)
+from simulated_rooms.scattering_box import ECHOGRAM_BIN_S, diffuse_echogram
 
 LENGTHS_M = (5.1, 4.2, 2.9)
 C = 340.0

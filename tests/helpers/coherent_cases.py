@@ -11,12 +11,7 @@ from roomfit.base.air import Air
 from roomfit.base.bands import Bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.binned import BinnedPaths, bin_paths, in_band
-from roomfit.model.energy import (
-    EnergyTerm,
-    Observation,
-    fine_edges_s,
-    in_air,
-)
+from roomfit.model.energy import EnergyTerm, Observation, fine_edges_s, in_air
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.problem import Objective
 from roomfit.model.windows import window_edges_s
@@ -25,11 +20,7 @@ from roomfit.pressures.geometry import Geometry, geometry_block
 from roomfit.pressures.response import image_paths
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Room, Scene
-from roomfit.signals.filters import (
-    energy_share,
-    spreading_kernel,
-    statistical_bandwidth_hz,
-)
+from roomfit.signals.filters import energy_share, spreading_kernel, statistical_bandwidth_hz
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 
@@ -101,8 +92,7 @@ def energy_term(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyTerm:
             )
         )
     term = EnergyTerm(
-        *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows),
-        *(tuple(observations), 0.0, 0.0),
+        *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows), *(tuple(observations), 0.0, 0.0)
     )
     return in_air(term)
 

@@ -228,9 +228,7 @@ def late(n: int) -> Callable[[np.ndarray], np.ndarray]:
 
 CASES: dict[str, Case] = {
     "pressures": Case(
-        campaign(),
-        (IDENTIFY, PREDICT + " --set carpet=0.2"),
-        ("a/result.json", "p/predicted.json"),
+        campaign(), (IDENTIFY, PREDICT + " --set carpet=0.2"), ("a/result.json", "p/predicted.json")
     ),
     "energies": Case(
         campaign(identify=ENERGY),

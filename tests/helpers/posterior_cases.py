@@ -7,13 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.model.parameters import (
-    GEOMETRY,
-    Block,
-    Parameters,
-    fitted_columns,
-    physical_values,
-)
+from roomfit.model.parameters import GEOMETRY, Block, Parameters, fitted_columns, physical_values
 from roomfit.model.problem import Prediction, gamma_log_likelihood
 
 

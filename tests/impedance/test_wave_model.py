@@ -173,11 +173,7 @@ def test_derivatives_are_those_of_central_differences(kind):
     p = rng.normal(size=(4, 4)) + 1j * rng.normal(size=(4, 4))
     observed = Observed(f, tau, 0.01 * p, has_phase=kind != "levels")
     at = complex_frequency_hz(observed)
-    curves = (
-        causal_curve(at, 0.5 + 0.2j),
-        constant(f, 0.9 - 0.1j),
-        spline(f, 0.3 - 0.4j),
-    )
+    curves = (causal_curve(at, 0.5 + 0.2j), constant(f, 0.9 - 0.1j), spline(f, 0.3 - 0.4j))
     gain = "spectrum" if kind == "spectrum" else "pair"
     nuisances = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
     problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, nuisances)
@@ -212,11 +208,7 @@ def test_prior_rows_have_the_slope_of_central_differences():
     observed = Observed(f, 0.005, np.ones((2, len(f))))
     scene = box_scene(n_pairs=2)
     model = wave_model(scene, f, 0.005)
-    curves = (
-        spline(f),
-        spline(f, 0.999),
-        causal_curve(complex_frequency_hz(observed), 0.5 + 0.2j),
-    )
+    curves = (spline(f), spline(f, 0.999), causal_curve(complex_frequency_hz(observed), 0.5 + 0.2j))
     problem = Problem(model, observed, np.ones((2, len(f))), curves, Nuisances(gain="common"))
     x = start_of(problem) + 0.02 * np.random.default_rng(5).normal(size=problem.layout.size)
     rough = np.array([0.1, 0.01, 1.0])

@@ -23,9 +23,7 @@ from roomfit.materials.catalogue import (
     search_catalogue,
     typical_logit,
 )
-from roomfit.materials.catalogue import (
-    table_logit as logit,
-)
+from roomfit.materials.catalogue import table_logit as logit
 
 # Names in the table of Vorlaender, "Auralization" (Springer 2008), as pyroomacoustics spells them.
 SAME_MATERIAL = {

@@ -42,9 +42,7 @@ def test_an_l_shaped_floor_has_seven_square_metres_and_not_sixteen(start):
 
 
 @given(
-    st.lists(st.floats(0.3, 5.0), min_size=3, max_size=30),
-    st.integers(0, 10_000),
-    st.booleans(),
+    st.lists(st.floats(0.3, 5.0), min_size=3, max_size=30), st.integers(0, 10_000), st.booleans()
 )
 def test_triangles_of_a_random_star_cover_its_shoelace_area(radii, seed, backwards):
     """A star around its middle is simple; it is turned anywhere in space, in either direction."""

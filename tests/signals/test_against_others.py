@@ -20,10 +20,7 @@ from roomfit.signals.decay import (
     decay_curve,
     room_parameters,
 )
-from roomfit.signals.response import (
-    ImpulseResponse,
-    find_onset,
-)
+from roomfit.signals.response import ImpulseResponse, find_onset
 
 OCTAVES = bands_between("octave", 125.0, 4000.0)
 

@@ -9,13 +9,7 @@ import numpy as np
 from posterior_cases import Linear, linear_case
 from roomfit.base.typing import FloatArray
 from roomfit.model.problem import Prediction
-from roomfit.solver import (
-    Ending,
-    MarquardtSettings,
-    fit_band,
-    levenberg_marquardt,
-    score_band,
-)
+from roomfit.solver import Ending, MarquardtSettings, fit_band, levenberg_marquardt, score_band
 
 
 def decay_residuals(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -54,10 +48,7 @@ def test_a_band_with_a_wrong_derivative_is_not_called_converged() -> None:
     wrong = WrongSign(right.matrix, right.observed, right.sd, right.parameters)
     start = np.zeros(right.matrix.shape[1])
     for problem, converged in ((right, True), (wrong, False)):
-        fits = (
-            fit_band(problem),
-            score_band(problem, start, max_rounds=36),
-        )
+        fits = (fit_band(problem), score_band(problem, start, max_rounds=36))
         for fit in fits:
             assert fit.converged is converged
             if not converged:

@@ -9,10 +9,7 @@ import pytest
 
 from posterior_cases import Linear, linear_case
 from roomfit.base.typing import FloatArray
-from roomfit.model.parameters import (
-    prior_residuals,
-    start_vector,
-)
+from roomfit.model.parameters import prior_residuals, start_vector
 from roomfit.solver import fit_band, marginal, score_band
 
 

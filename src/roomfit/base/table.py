@@ -238,12 +238,10 @@ def optional_package(name: str, what: str, where: str, file: str = "result.json"
     try:
         return import_module(name)
     except ImportError as error:
+        needed = f"the package {name}, on which roomfit does not depend"
+        hint = f"pip install {name}; or read {file}, which the command line writes"
         raise InputError(
-            f"{what} need {name}",
-            where=where,
-            found=str(error),
-            needed=f"the package {name}, on which roomfit does not depend",
-            hint=f"pip install {name}; or read {file}, which the command line writes",
+            f"{what} need {name}", where=where, found=str(error), needed=needed, hint=hint
         ) from error
 
 
@@ -256,12 +254,9 @@ def workbook_of(sheets: Mapping[str, Table]) -> bytes:
     try:
         openpyxl: Any = import_module("openpyxl")
     except ImportError as error:
-        raise InputError(
-            "an Excel workbook needs openpyxl",
-            found=str(error),
-            needed="the package openpyxl",
-            hint="pip install roomfit[excel]; or write --format csv",
-        ) from error
+        what, needed = "an Excel workbook needs openpyxl", "the package openpyxl"
+        hint = "pip install roomfit[excel]; or write --format csv"
+        raise InputError(what, found=str(error), needed=needed, hint=hint) from error
     book = openpyxl.Workbook()
     book.remove(book.active)
     for name, shown in sheets.items():

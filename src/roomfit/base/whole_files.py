@@ -105,12 +105,10 @@ def _made(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        what, needed = "the output folder cannot be made", "a folder in which files may be written"
+        hint = "choose another place, or change who may write there"
         raise StoreError(
-            "the output folder cannot be made",
-            where=str(path),
-            found=error.strerror or str(error),
-            needed="a folder in which files may be written",
-            hint="choose another place, or change who may write there",
+            what, where=str(path), found=error.strerror or str(error), needed=needed, hint=hint
         ) from error
 
 

@@ -153,10 +153,7 @@ def _at_work(client: Any) -> str:
 
 @contextmanager
 def cluster_client(
-    *,
-    scheduler: str | None = None,
-    n_workers: int = 1,
-    warm: Callable[[], object] | None = None,
+    *, scheduler: str | None = None, n_workers: int = 1, warm: Callable[[], object] | None = None
 ) -> Iterator[Any]:
     """Give a client of dask, for `completed`.
 
@@ -276,13 +273,10 @@ def _quietly(end: Callable[[], object]) -> None:
 def check_memory(limit_bytes: int, where: str, hint: str) -> None:
     """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit."""
     if 0 < limit_bytes < LEAST_MEMORY_BYTES:
-        raise InputError(
-            "a worker has too little memory for a room",
-            where=where,
-            found=f"{1e-6 * limit_bytes:.0f} MB for each worker",
-            needed=f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370",
-            hint=hint,
-        )
+        what = "a worker has too little memory for a room"
+        found = f"{1e-6 * limit_bytes:.0f} MB for each worker"
+        needed = f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def about_this_process() -> dict[str, str]:

@@ -131,13 +131,10 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
     """
     steps = [int(side / spacing_m + 1e-9) for side in region.high_m - region.low_m]
     if math.prod(n + 1 for n in steps) > _MOST_IN_GRID:
-        raise InputError(
-            "a grid of more positions than can be examined",
-            where="grid_m",
-            found=f"{' x '.join(str(n + 1) for n in steps)} positions, {spacing_m:g} m apart",
-            needed=f"at most {_MOST_IN_GRID}",
-            hint="a wider spacing, or region_m",
-        )
+        what, needed = "a grid of more positions than can be examined", f"at most {_MOST_IN_GRID}"
+        found = f"{' x '.join(str(n + 1) for n in steps)} positions, {spacing_m:g} m apart"
+        hint = "a wider spacing, or region_m"
+        raise InputError(what, where="grid_m", found=found, needed=needed, hint=hint)
     axes = [
         0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n)
         for low, high, n in zip(region.low_m, region.high_m, steps, strict=True)
@@ -209,12 +206,10 @@ def design_candidates(
     possible = np.flatnonzero(~was & (distance_m >= source_distance_m))
     if not possible.size:
         farthest_m = distance_m[~was].max(initial=0.0)
-        raise InputError(
-            "no pair of source and receiver is far enough apart",
-            found=f"{int((~was).sum())} pairs, the farthest {farthest_m:.2f} m apart",
-            needed=f"at least {source_distance_m:.2f} m",
-            hint="set source_distance_m in [design]",
-        )
+        what = "no pair of source and receiver is far enough apart"
+        found = f"{int((~was).sum())} pairs, the farthest {farthest_m:.2f} m apart"
+        needed = f"at least {source_distance_m:.2f} m"
+        raise InputError(what, found=found, needed=needed, hint="set source_distance_m in [design]")
     n, rng = options.n_candidates, np.random.default_rng(seed)
     possible = possible[even_part(every[possible, 0], n, rng)]
     fixed = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)

@@ -213,12 +213,10 @@ def possible_design(rules: Rules, n: int) -> list[int]:
         if len(found) == n:
             return list(found)
         most = max(most, len(found))
-    raise InputError(
-        "the rules leave no position for another measurement",
-        found=f"{most} of {n}",
-        needed=f"{n} positions that keep the rules",
-        hint="choose fewer, give more candidates, or lower the least distances in [design]",
-    )
+    what = "the rules leave no position for another measurement"
+    needed = f"{n} positions that keep the rules"
+    hint = "choose fewer, give more candidates, or lower the least distances in [design]"
+    raise InputError(what, found=f"{most} of {n}", needed=needed, hint=hint)
 
 
 def random_design(rules: Rules, n: int, rng: np.random.Generator) -> tuple[int, ...]:

@@ -29,11 +29,7 @@ from roomfit.design.choose import (
     random_design,
 )
 from roomfit.design.expected import information_of_candidates
-from roomfit.design.prior import (
-    PriorInformation,
-    information_from_fit,
-    information_from_priors,
-)
+from roomfit.design.prior import PriorInformation, information_from_fit, information_from_priors
 from roomfit.design.symmetry import plane_findings
 from roomfit.fit.traced_room import scene_decay_s
 from roomfit.materials.priors import MaterialPrior, complete_priors, object_area_m2

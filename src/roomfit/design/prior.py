@@ -132,12 +132,10 @@ def _unknowns(
     information: FloatArray,
 ) -> Unknowns:
     if not free.size:
-        raise InputError(
-            "no absorption is left to be found",
-            found="every material's absorption is given",
-            needed="one material at least whose absorption is fitted",
-            hint="remove absorption = [...] where it is not sure",
-        )
+        found = "every material's absorption is given"
+        needed = "one material at least whose absorption is fitted"
+        hint = "remove absorption = [...] where it is not sure"
+        raise InputError("no absorption is left to be found", found=found, needed=needed, hint=hint)
     return Unknowns(
         number,
         np.swapaxes(drawn[:, free], 1, 2),

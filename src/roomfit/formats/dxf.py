@@ -90,13 +90,9 @@ def _opened(path: Path) -> Any:
         from ezdxf.filemanagement import readfile
         from ezdxf.lldxf.const import DXFError
     except ImportError:
-        raise InputError(
-            "DXF files are read by ezdxf, which is not installed",
-            where=str(path),
-            found="a DXF file, and no ezdxf",
-            needed="the package ezdxf",
-            hint="pip install roomfit[cad]",
-        ) from None
+        what, needed = "DXF files are read by ezdxf, which is not installed", "the package ezdxf"
+        found, hint = "a DXF file, and no ezdxf", "pip install roomfit[cad]"
+        raise InputError(what, where=str(path), found=found, needed=needed, hint=hint) from None
     read_bytes(path, "room file", most="text_bytes")
     try:
         return readfile(path)

@@ -160,13 +160,10 @@ def isolated_polygons(
             return head, _cut(corners, each, surfaces)
     except ValueError as error:
         if "ModuleNotFoundError" in str(error):
-            raise InputError(
-                f"{path.suffix} files are read by {library}, which is not installed",
-                where=str(path),
-                found=f"a {path.suffix} file, and no {library}",
-                needed=f"the package {library}",
-                hint=f"pip install {install}",
-            ) from None
+            what = f"{path.suffix} files are read by {library}, which is not installed"
+            found, needed = f"a {path.suffix} file, and no {library}", f"the package {library}"
+            hint = f"pip install {install}"
+            raise InputError(what, where=str(path), found=found, needed=needed, hint=hint) from None
         if "no faces" in str(error):
             raise no_faces(path, hint="the file may be cut short: export it again") from error
         raise damaged(kind, path, str(error)[:300]) from error

@@ -375,9 +375,7 @@ def _covered(
     return corners, owners, ceiling
 
 
-def _profile(
-    sides: Sequence[_Side],
-) -> tuple[FloatArray, list[_Part | None], frozenset[int]]:
+def _profile(sides: Sequence[_Side]) -> tuple[FloatArray, list[_Part | None], frozenset[int]]:
     """Return the line on which a folded ceiling rests: its corners, walls, and which are gables.
 
     Corners of the floor have the height at which the walls beside them end; gables are corners

@@ -20,12 +20,7 @@ from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
 from roomfit.base.whole_files import check_output_folder, sole_writer
-from roomfit.files.campaign import (
-    Campaign,
-    input_files,
-    read_campaign,
-    refuse_objects,
-)
+from roomfit.files.campaign import Campaign, input_files, read_campaign, refuse_objects
 from roomfit.files.inputs import read_file
 from roomfit.files.rooms import read_room
 from roomfit.files.schema import MaterialTable, MeasurementTable
@@ -65,11 +60,7 @@ def identify_campaign_impedance(
 @sole_writer
 @reading_noted()
 def impedance_to_folder(
-    campaign_file: Path,
-    out: Path,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    campaign_file: Path, out: Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> ImpedanceResult:
     """Identify impedances and write result.json, impedance.csv into a folder."""
     check_output_folder(out, overwrite=overwrite)
@@ -90,13 +81,10 @@ def impedance_arguments(campaign: Campaign) -> tuple[dict[str, Any], tuple[Findi
     files = [m for m in campaign.measurements if m.use == "fit"]
     spectra = [s for s in campaign.spectra if s.use == "fit"]
     if not files and not spectra:
-        raise InputError(
-            "the campaign holds no pressures",
-            where=str(campaign.path),
-            found="no response and no spectrum to fit",
-            needed="impulse responses (file) or damped spectra (spectrum)",
-            hint="room parameters do not determine impedances",
-        )
+        what, found = "the campaign holds no pressures", "no response and no spectrum to fit"
+        needed = "impulse responses (file) or damped spectra (spectrum)"
+        hint = "room parameters do not determine impedances"
+        raise InputError(what, where=str(campaign.path), found=found, needed=needed, hint=hint)
     check_files(input_files(campaign.with_rows((*files, *spectra))), str(campaign.path))
     scene = _scene(campaign, room, [*files, *spectra])
     read = [read_spectrum(s.path) for s in spectra]
@@ -122,12 +110,10 @@ def _scene(campaign: Campaign, room: Room, measured: list[MeasurementTable]) -> 
     pairs = [(m.source, m.receiver) for m in measured]
     twice = next((pair for pair in pairs if pairs.count(pair) > 1), None)
     if twice is not None:
+        what, needed = "a pair stands twice among the pressures", "one measurement a pair"
+        hint = 'mark the others with use = "validate"'
         raise InputError(
-            "a pair stands twice among the pressures",
-            where=str(campaign.path),
-            found=" to ".join(twice),
-            needed="one measurement a pair",
-            hint='mark the others with use = "validate"',
+            what, where=str(campaign.path), found=" to ".join(twice), needed=needed, hint=hint
         )
     sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
     receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})

@@ -141,12 +141,10 @@ def damped_spectrum(
     """
     t = times_s(response)
     if t[-1] < direct_s + 3.0 * tau_s:
-        raise InputError(
-            "the response ends before the exponential window",
-            found=f"{1000.0 * t[-1]:.0f} ms after emission",
-            needed=f"at least {1000.0 * (direct_s + 3.0 * tau_s):.0f} ms",
-            hint="choose a shorter tau_s",
-        )
+        what = "the response ends before the exponential window"
+        found = f"{1000.0 * t[-1]:.0f} ms after emission"
+        needed = f"at least {1000.0 * (direct_s + 3.0 * tau_s):.0f} ms"
+        raise InputError(what, found=found, needed=needed, hint="choose a shorter tau_s")
     if frequency_hz[-1] > 0.4 * response.sampling_rate_hz:
         raise InputError(
             "the highest frequency is too near to half of the sampling rate",

@@ -31,12 +31,7 @@ from roomfit.solver import Ending, MarquardtSettings, Minimum, levenberg_marquar
 
 # A step that lowers the cost by less than a share of it is the last one.
 _SETTINGS = MarquardtSettings(
-    max_trials=29,
-    damping=1e-2,
-    lowered=0.2,
-    least_damping=1e-9,
-    most_damping=8e9,
-    ridge=1e-12,
+    max_trials=29, damping=1e-2, lowered=0.2, least_damping=1e-9, most_damping=8e9, ridge=1e-12
 )
 
 # Standard deviations of second differences of spline coefficients: first nearly constant.
@@ -287,10 +282,7 @@ class Start(NamedTuple):
 
 
 def multistart(
-    problem: Problem,
-    n_random: int,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
+    problem: Problem, n_random: int, rng: np.random.Generator, progress: Progress | None = None
 ) -> tuple[Start, ...]:
     """Return where the usual start and random ones lead, lowest cost first.
 

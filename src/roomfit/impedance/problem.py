@@ -24,14 +24,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz, standard_deviation
 from roomfit.impedance.laws import Curve
-from roomfit.impedance.wave_model import (
-    Gradients,
-    Nuisances,
-    State,
-    WaveModel,
-    at_rest,
-    gradients,
-)
+from roomfit.impedance.wave_model import Gradients, Nuisances, State, WaveModel, at_rest, gradients
 from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Point, Scene
 

@@ -12,13 +12,7 @@ from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, level_at, model_error, smoothed
 from roomfit.impedance.fit import SAME_WITHIN, ImpedanceFit, Start, distance, reduced_chi2
 from roomfit.impedance.laws import Spline, as_spline
-from roomfit.impedance.problem import (
-    Problem,
-    data_rows,
-    factor_of,
-    source_spectra,
-    state_of,
-)
+from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra, state_of
 from roomfit.impedance.result import (
     Z95,
     Estimate,

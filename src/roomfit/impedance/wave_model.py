@@ -290,12 +290,7 @@ _TOGETHER = 1_000_000
 
 
 def predicted_pressure(
-    model: WaveModel,
-    r0: ComplexArray,
-    state: State,
-    *,
-    spherical: bool = True,
-    short: bool = False,
+    model: WaveModel, r0: ComplexArray, state: State, *, spherical: bool = True, short: bool = False
 ) -> ComplexArray:
     """Return the damped spectra of all pairs, of all images or of the short paths alone.
 

@@ -337,12 +337,10 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     The result has the shape (n_bands,): 0.005 <= mean <= 0.98; sd above 0.
     """
     if find_material(name).group == _PIECES:
-        raise InputError(
-            "an entry of the catalogue is no absorption coefficient",
-            found=f"{name!r}, m2 of one piece",
-            needed="an entry of a surface",
-            hint=f"people stand in the room: [objects.NAME] absorption_area_m2 = {name!r}",
-        )
+        what = "an entry of the catalogue is no absorption coefficient"
+        found = f"{name!r}, m2 of one piece"
+        hint = f"people stand in the room: [objects.NAME] absorption_area_m2 = {name!r}"
+        raise InputError(what, found=found, needed="an entry of a surface", hint=hint)
     return _middle_and_sd(name, bands)
 
 
@@ -440,13 +438,11 @@ def material_prior(
         mean, sd = _stated_prior(prior, bands, lower, upper, f"{where}.prior")
     known = None if absorption is None else _per_band(absorption, n, f"{where}.absorption")
     if known is not None and not np.all((known >= lower) & (known <= upper)):
-        raise InputError(
-            "a given absorption lies outside of its own bounds",
-            where=f"{where}.absorption",
-            found=f"{known[np.argmax((known < lower) | (known > upper))]:g}",
-            needed=f"{lower:g} to {upper:g}",
-            hint="remove bounds: an absorption that is given is fixed",
-        )
+        what = "a given absorption lies outside of its own bounds"
+        found = f"{known[np.argmax((known < lower) | (known > upper))]:g}"
+        needed = f"{lower:g} to {upper:g}"
+        hint = "remove bounds: an absorption that is given is fixed"
+        raise InputError(what, where=f"{where}.absorption", found=found, needed=needed, hint=hint)
     specified = None
     if scattering is not None and not isinstance(scattering, str):
         specified = _per_band(scattering, n, f"{where}.scattering")
@@ -471,13 +467,10 @@ def _middle_between(lower: float, upper: float, n: int, where: str) -> FloatArra
     The broad prior's middle where it lies well between the bounds, else theirs.
     """
     if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
-        raise InputError(
-            "lower bound is not below the upper one",
-            where=where,
-            found=f"{lower:g} and {upper:g}",
-            needed=f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them",
-            hint="an absorption that is known is fixed: absorption = ...",
-        )
+        what, found = "lower bound is not below the upper one", f"{lower:g} and {upper:g}"
+        needed = f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them"
+        hint = "an absorption that is known is fixed: absorption = ..."
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     share = (DEFAULT_MEAN - lower) / (upper - lower)
     share = share if 0.1 <= share <= 0.9 else 0.5
     return logit_prior(np.full(n, share), np.ones(n))[0]
@@ -496,13 +489,11 @@ def _stated_prior(
     inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
     if not np.all(inside):
         band = int(np.argmin(inside))
-        raise InputError(
-            "a prior lies outside of its bounds or has no spread",
-            where=where,
-            found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} at {bands.centres_hz[band]:g} Hz",
-            needed=f"{lower:g} < mean < {upper:g} and sd > 0",
-            hint="to fix an absorption, write absorption = [...] instead",
-        )
+        what = "a prior lies outside of its bounds or has no spread"
+        found = f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} at {bands.centres_hz[band]:g} Hz"
+        needed = f"{lower:g} < mean < {upper:g} and sd > 0"
+        hint = "to fix an absorption, write absorption = [...] instead"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     between = (alpha - lower) / (upper - lower)
     return logit_prior(between, alpha_sd / (upper - lower))
 

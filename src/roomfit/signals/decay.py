@@ -273,13 +273,11 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     crest = float(np.max(loud**2) / np.mean(loud**2))
     lasting = middle - begin > 0.6 * (end - middle) and crest < 40.0
     if lasting or _climbs(loud):
-        raise InputError(
-            "this looks like a recording of the excitation, not like an impulse response",
-            where=where,
-            found=f"sound that lasts {length_s:.2f} s without decaying",
-            needed="the response after deconvolution: one onset, then a decay",
-            hint='name the sweep as it was played: excitation = "sweep.wav" under [defaults]',
-        )
+        what = "this looks like a recording of the excitation, not like an impulse response"
+        found = f"sound that lasts {length_s:.2f} s without decaying"
+        needed = "the response after deconvolution: one onset, then a decay"
+        hint = 'name the sweep as it was played: excitation = "sweep.wav" under [defaults]'
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def _without_hum(pressure: FloatArray) -> FloatArray:

@@ -256,13 +256,10 @@ class MeasuredValues:
                 check_known("a spread without its value", key, self.values, where=where)
                 array = np.array(row, dtype=np.float64)
                 if array.shape != centres.shape:
-                    raise InputError(
-                        f"{key} has not one value a band",
-                        where=where,
-                        found=f"{array.size} values",
-                        needed=f"{centres.size}, one for each of centres_hz",
-                        hint="give nan for what was not measured",
-                    )
+                    what, found = f"{key} has not one value a band", f"{array.size} values"
+                    needed = f"{centres.size}, one for each of centres_hz"
+                    hint = "give nan for what was not measured"
+                    raise InputError(what, where=where, found=found, needed=needed, hint=hint)
                 array.setflags(write=False)
                 table[key] = array
             object.__setattr__(self, name, MappingProxyType(table))
@@ -310,12 +307,10 @@ def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Findin
         known = {k: float(v[band]) for k, v in measured.values.items() if np.isfinite(v[band])}
         for is_error, found, needed in _contradictions(known):
             if is_error:
+                what = "room parameters that contradict each other"
+                hint = "check units and rows; leave a cell empty where the value is not sure"
                 raise InputError(
-                    "room parameters that contradict each other",
-                    where=f"{pair} at {centre_hz:g} Hz",
-                    found=found,
-                    needed=needed,
-                    hint="check units and rows; leave a cell empty where the value is not sure",
+                    what, where=f"{pair} at {centre_hz:g} Hz", found=found, needed=needed, hint=hint
                 )
             doubts.append((centre_hz, found))
     if not doubts:

@@ -55,12 +55,10 @@ def source_magnitude(
     """
     rates = {r.sampling_rate_hz for r in (*measured, *reference)}
     if len(rates) != 1:
-        raise InputError(
-            "responses of a source differ in sampling rate, or there is none",
-            found=f"{len(measured)} responses, rates {sorted(rates)}",
-            needed="one or more, of one rate",
-            hint="leave out responses of other rates, or resample them",
-        )
+        what = "responses of a source differ in sampling rate, or there is none"
+        found = f"{len(measured)} responses, rates {sorted(rates)}"
+        hint = "leave out responses of other rates, or resample them"
+        raise InputError(what, found=found, needed="one or more, of one rate", hint=hint)
     octaves = float(np.log2(_HIGHEST * rates.pop() / lowest_hz))
     nodes = lowest_hz * 2.0 ** np.arange(0.0, max(octaves, 0.0) + 1e-9, _STEP_OCTAVES)
     if len(measured) < _FEWEST or measured[0].sampling_rate_hz < 2.0 * lowest_hz:

@@ -88,13 +88,9 @@ class Measurement:
                 )
             samples, rate_hz = np.squeeze(samples.time), own_hz
         if rate_hz is None:
-            raise InputError(
-                "a measurement without a sampling rate",
-                where=where,
-                found="samples without a rate",
-                needed="sampling_rate_hz in Hz",
-                hint="give sampling_rate_hz, or a Signal of pyfar",
-            )
+            what, found = "a measurement without a sampling rate", "samples without a rate"
+            needed, hint = "sampling_rate_hz in Hz", "give sampling_rate_hz, or a Signal of pyfar"
+            raise InputError(what, where=where, found=found, needed=needed, hint=hint)
         for key, value, known in (
             ("time_zero", self.time_zero, LATENCY_SD_S),
             ("level", self.level, ("per-source", "per-file", "absolute")),

@@ -208,13 +208,11 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
     tenths = [np.mean(part**2) for part in np.array_split(pressure, 10) if part.size]
     noise = _ABOVE_NOISE * float(np.sqrt(min(tenths)))
     if not noise < peak:
-        raise InputError(
-            "no direct sound was found in the response",
-            where=where,
-            found=f"a peak of {peak:.3g} and noise of {noise / _ABOVE_NOISE:.3g} (rms)",
-            needed=f"a peak at least {_ABOVE_NOISE:g} times the noise",
-            hint="another channel may contain the response, or the file may be noise only",
-        )
+        what = "no direct sound was found in the response"
+        found = f"a peak of {peak:.3g} and noise of {noise / _ABOVE_NOISE:.3g} (rms)"
+        needed = f"a peak at least {_ABOVE_NOISE:g} times the noise"
+        hint = "another channel may contain the response, or the file may be noise only"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     threshold = max(_BELOW_PEAK * peak, min(noise, 0.5 * peak))
     first = int(np.argmax(size >= threshold))
     sample = float(first)

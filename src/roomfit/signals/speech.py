@@ -93,12 +93,8 @@ def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> Floa
     for band in np.flatnonzero(curve.usable_db >= least_range_db):
         left = curve.energy_left[band]
         if not left[0] > 0.0:
-            raise InputError(
-                "a response without energy has no modulation transfer",
-                found="energy 0",
-                needed="energy above 0",
-                hint="leave the response out",
-            )
+            what, needed = "a response without energy has no modulation transfer", "energy above 0"
+            raise InputError(what, found="energy 0", needed=needed, hint="leave the response out")
         # a response ends where nothing is left of it, an echogram with its last bin
         n = int(np.flatnonzero(left)[-1]) + 1
         z, *_ = _spectrum(curve.time_s[:n], left[:n], float(curve.tail_time_constant_s[band]))
@@ -275,12 +271,10 @@ def _by_band(
     """Return the index, modulation indices, their mean by band, and which count as they are."""
     m = np.asarray(transfer, dtype=np.float64)
     if m.shape[-2:] != (7, 14):
-        raise InputError(
-            "a speech transmission index needs seven octaves and 14 modulation frequencies",
-            found=f"a transfer of shape {m.shape}",
-            needed="(..., 7, 14)",
-            hint="take it from modulation_transfer of bands from 125 Hz to 8 kHz",
-        )
+        what = "a speech transmission index needs seven octaves and 14 modulation frequencies"
+        needed = "(..., 7, 14)"
+        hint = "take it from modulation_transfer of bands from 125 Hz to 8 kHz"
+        raise InputError(what, found=f"a transfer of shape {m.shape}", needed=needed, hint=hint)
     if levels_db is not None:
         m = m * _speech_shares(levels_db)[0][..., None]
     m = np.clip(m, 1e-9, 1.0 - 1e-9)
