@@ -151,6 +151,19 @@ def predicted_curve(
 ) -> DecayCurve:
     """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
+    return curve_of(scene, bands, binned, pair, absorption, energy, by_pressures)
+
+
+def curve_of(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    energy: FloatArray,
+    by_pressures: BoolArray | None = None,
+) -> DecayCurve:
+    """Return the curves of `predicted_curve`, of energies (n_bands, n_bins) of `pair_energies`."""
     energy = spread_over_time(bands, energy)
     if by_pressures is not None and by_pressures.any():
         added = interference(scene, bands, binned, pair, absorption, by_pressures)

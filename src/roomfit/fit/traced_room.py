@@ -14,7 +14,7 @@ from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, Progress
-from roomfit.fit.compare import predicted_curve
+from roomfit.fit.compare import curve_of, predicted_curve
 from roomfit.fit.paths import traced_by
 from roomfit.fit.trace_plan import (
     LEAST_RAYS,
@@ -37,8 +37,8 @@ from roomfit.model.reduced_rows import (
 )
 from roomfit.model.room_parameters import (
     ValuesTerm,
-    predicted_values,
     scatter_parts,
+    strengths_db,
     value_terms,
 )
 from roomfit.model.weighing import regrouped_rows, rows_in_air
@@ -136,9 +136,11 @@ class TracedRoom:
 
         NaN where the paths do not follow the decay far enough, names in the order of `VALUE_NAMES`.
         """
-        own = self.of_pair(pair)
-        curve = predicted_curve(own.scene, self.bands, own.binned, 0, absorption, self.by_pressures)
-        strength = predicted_values(own.scene, self.bands, own.binned, absorption, ("G_dB",))[0]
+        air = attenuation_per_m(self.scene.air, self.bands)
+        energy = pair_energies(self.binned, self.bands, pair, absorption, air)
+        own = self.scene, self.bands, self.binned, pair, absorption, energy
+        curve = curve_of(*own, self.by_pressures)
+        strength = strengths_db(self.bands, self.edges_s, energy, curve.onset_s)
         for band in np.flatnonzero(self.by_pressures).tolist():
             strength[0, band] = value_gradients(curve, band, ("G_dB",), derivative=False)[0][0]
         return curve, np.vstack([room_parameters(curve).values, strength])
@@ -160,15 +162,13 @@ class TracedRoom:
         sd = np.zeros((len(VALUE_NAMES) + 1, len(self.bands)))
         common = np.zeros_like(sd)
         for band in range(len(self.bands)):
-            one = Bands(self.bands.kind, self.bands.centres_hz[band : band + 1])
-            chosen = absorption[:, band : band + 1]
-            expected = predicted_values(own.scene, one, own.binned, chosen)
-            if not np.isfinite(expected).all():
-                sd[:, band] = np.nan
-                continue
             term = _band_term(own, band, VALUE_NAMES)
             read = partial(_read, None if weights is None else weights[band])
-            _, interference, added, tracing = scatter_parts(term, 0, chosen[:, 0], read)
+            parts = scatter_parts(term, 0, absorption[:, band], read)
+            values, interference, added, tracing = parts
+            if not np.isfinite(values[: len(VALUE_NAMES)]).all():
+                sd[:, band] = np.nan
+                continue
             steady = added**2 + np.diag(tracing)
             sd[: added.size, band] = np.sqrt(np.diag(interference) + steady)
             common[: added.size, band] = steady

@@ -17,7 +17,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.forks import count_evaluation
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior
-from roomfit.model.binned import BinnedPaths, regrouped, rows_at
+from roomfit.model.binned import BinnedPaths, pair_energies, regrouped, rows_at
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
@@ -360,7 +360,7 @@ def value_terms(
                 coarse.edges_s,
                 tuple(rows[o.pair] for o in observations),
                 observations,
-                bin_spreading(one, coarse),
+                _spreading(one, coarse.edges_s),
             )
         )
     return tuple(terms)
@@ -402,12 +402,6 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
 
 
-def bin_spreading(bands: Bands, binned: BinnedPaths) -> Spreading:
-    """Return the energy spreading of the first of some bands over the bins of paths."""
-    width_s = float(binned.edges_s[1] - binned.edges_s[0])
-    return band_spreading(bands, binned.edges_s.size - 1, width_s)
-
-
 def predicted_values(
     scene: Scene,
     bands: Bands,
@@ -419,22 +413,49 @@ def predicted_values(
 
     Shapes: `absorption` (n_materials, n_bands).
     """
-    attenuation = attenuation_per_m(scene.air, bands)
+    air, coarse = attenuation_per_m(scene.air, bands), coarser(binned, _BINS_AS_ONE)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
-    coarse = coarser(binned, _BINS_AS_ONE)
-    found = np.empty((len(binned.rows), len(names), len(bands)))
-    for band in range(len(bands)):
+    return np.stack(
+        [
+            _values_of(bands, coarse.edges_s, energies, float(direct_s[i]), names)
+            for i in range(len(binned.rows))
+            for energies in [pair_energies(coarse, bands, i, absorption, air)]
+        ]
+    )
+
+
+def strengths_db(
+    bands: Bands, edges_s: FloatArray, energies: FloatArray, direct_s: float
+) -> FloatArray:
+    """Return the strength G of fine energies of a pair as of `predicted_values`, (1, n_bands).
+
+    Shapes: `edges_s` (n_bins + 1,), `energies` (n_bands, n_bins).
+    """
+    kept = energies.shape[1] // _BINS_AS_ONE
+    edges_s = edges_s[: _BINS_AS_ONE * kept + 1 : _BINS_AS_ONE]
+    joined = energies[:, : _BINS_AS_ONE * kept].reshape(len(bands), kept, _BINS_AS_ONE).sum(axis=2)
+    return _values_of(bands, edges_s, joined, direct_s, ("G_dB",))
+
+
+def _values_of(
+    bands: Bands,
+    edges_s: FloatArray,
+    energies: FloatArray,
+    direct_s: float,
+    names: Sequence[ValueName],
+) -> FloatArray:
+    found = np.empty((len(names), len(bands)))
+    for band, energy in enumerate(energies):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        spreading = bin_spreading(one, coarse)
-        chosen = slice(band, band + 1)
-        for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
-            own = absorption[:, chosen], attenuation[chosen]
-            energy = weigh(rows, *own)
-            curve = echogram_decay_curve(
-                one, spread_energy(spreading, energy), coarse.edges_s, float(direct_s[pair])
-            )
-            found[pair, :, band] = value_gradients(curve, 0, names, derivative=False)[0]
+        spread = spread_energy(_spreading(one, edges_s), energy[None])
+        curve = echogram_decay_curve(one, spread, edges_s, direct_s)
+        found[:, band] = value_gradients(curve, 0, names, derivative=False)[0]
     return found
+
+
+def _spreading(bands: Bands, edges_s: FloatArray) -> Spreading:
+    """Return the energy spreading of the first of some bands over uniform bins."""
+    return band_spreading(bands, edges_s.size - 1, float(edges_s[1] - edges_s[0]))
 
 
 def _pairs(scene: Scene, measured: Sequence[MeasuredValues]) -> list[int]:

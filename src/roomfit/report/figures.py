@@ -40,7 +40,7 @@ LOWEST_DB = -45.0
 _WIDTH_IN = 10.2
 # Curves of many pairs in one figure: about ten characters a point keep them below a megabyte.
 _POINTS_IN_ALL, _FEWEST_POINTS, _MOST_POINTS = 60_000, 16, 120
-_CURVES = "class:curve-"
+CURVES = "class:curve-"
 # a letter that the type lacks is a box
 _UNKNOWN_LETTER = "Glyph .* missing from"
 
@@ -60,8 +60,8 @@ def write_pictures(folder: Path, answer: Blocks, *, png_too: bool = False) -> No
             write_text_atomically(folder / f"{name}.svg", f"{written}\n")
             if not png_too:
                 continue
-            for artist in shown.figure.findobj(lambda a: str(a.get_gid()).startswith(_CURVES)):
-                artist.set_visible(artist.get_gid() == f"{_CURVES}{i}")
+            for artist in shown.figure.findobj(lambda a: str(a.get_gid()).startswith(CURVES)):
+                artist.set_visible(artist.get_gid() == f"{CURVES}{i}")
             write_bytes_atomically(folder / f"{name}.png", png(shown.figure))
 
 
@@ -174,10 +174,20 @@ def literal(name: str, longest: int = 34) -> str:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure whose labels never overlap."""
+    """Return an empty figure whose labels never overlap: they are measured, which takes long."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def grid_of(
+    rows: int, columns: int, width_in: float, height_in: float, **look: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with rows of panels, which `figure_legend` puts into their places."""
+    figure = Figure(figsize=(width_in, height_in))
+    FigureCanvasAgg(figure)
+    panels: list[Axes] = list(figure.subplots(rows, columns, squeeze=False, **look).ravel())
+    return figure, panels
 
 
 def panels_of(n: int, across: str, up: str, height_in: float) -> tuple[Figure, list[Axes]]:
@@ -186,26 +196,50 @@ def panels_of(n: int, across: str, up: str, height_in: float) -> tuple[Figure, l
     rows = -(-n // columns)
     tall_in = height_in * (0.75 if columns > 3 else 1.0) * rows + 0.9
     # a single panel must leave room for the legend above it
-    figure = new_figure(max(_WIDTH_IN / max(columns, 3) * columns, 4.6), tall_in)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    size_in = max(_WIDTH_IN / max(columns, 3) * columns, 4.6), tall_in
+    figure, grid = grid_of(rows, columns, *size_in, sharex=True, sharey=True)
     for unused in grid[n:]:
         unused.set_visible(False)
     for i, axes in enumerate(grid[:n]):
         axes.grid(alpha=0.25)
         axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
+        for axis in (axes.xaxis, axes.yaxis):  # without a label, whose place would be sought
+            axis.set_label_coords(0.5, 0.5)
     figure.supxlabel(across, fontsize=10)
-    figure.supylabel(up, fontsize=10)
-    return figure, list(grid[:n])
+    figure.supylabel(up, fontsize=10, x=0.08 / size_in[0])
+    return figure, grid[:n]
 
 
-def figure_legend(figure: Figure, columns: int = 4, title: str = "") -> None:
-    """Name once, above all panels, what any of them shows."""
+def figure_legend(
+    figure: Figure,
+    columns: int = 4,
+    title: str = "",
+    *,
+    gaps_in: tuple[float, float] = (0.16, 0.32),
+) -> None:
+    """Name once, above all panels, what any of them shows, and put the panels below it.
+
+    With so much between columns and rows of panels. A layout that measures every label takes as
+    long as all else that is drawn.
+    """
     found = (axes.get_legend_handles_labels() for axes in figure.axes)
     once = {x: h for handles, labels in found for h, x in zip(handles, labels, strict=True)}
     figure.legend(
-        once.values(), once, loc="outside upper center", ncols=columns, frameon=False, fontsize=9,
-        title=title or None,
+        once.values(), once, loc="upper center", ncols=columns, frameon=False, fontsize=9,
+        title=title or None, bbox_to_anchor=(0.5, 1.0), borderaxespad=0.2,
     )  # fmt: skip
+    across, tall = figure.get_size_inches()
+    above_in = 0.19 * -(-len(once) // columns) + 0.42 + (0.2 if title else 0.0)
+    grid: Any = figure.axes[0].get_gridspec()
+    counts, left_in, below_in, right_in = (grid.ncols, grid.nrows), 0.72, 0.62, 0.1
+    spans = across - left_in - right_in, tall - above_in - below_in
+    shares = (  # of the size of a panel
+        gap * n / (span - gap * (n - 1))
+        for gap, n, span in zip(gaps_in, counts, spans, strict=True)
+    )
+    figure.subplots_adjust(
+        left_in / across, below_in / tall, 1.0 - right_in / across, 1.0 - above_in / tall, *shares
+    )
 
 
 def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
@@ -268,13 +302,14 @@ def absorption_figure(
         if true_absorption is not None:
             look = {"color": OKABE_ITO[1], "ms": 7, "mew": 2, "label": say("true")}
             axes.plot(centres, true_absorption[i], "x", **look)
-        axes.set_title(literal(answer.materials[i], 20 if n < 3 else 16), fontsize=10, loc="left")
+        name = literal(answer.materials[i], 20 if n < 3 else 16)
+        axes.set_title(name, fontsize=10, loc="left", y=1.0)
         area = f"{number(float(answer.areas_m2[i]), 1)} m²"
         words = f"{area}, {int(answer.identifiable[i].sum())}/{len(centres)}"
-        axes.set_title(words, fontsize=8, loc="right", color="0.3")
+        axes.set_title(words, fontsize=8, loc="right", color="0.3", y=1.0)
     _with_intervals(panels[n], centres, tuple(answer.mean_absorption), "black")
     panels[n].plot(centres, answer.mean_absorption[0], "s", color="black", ms=5)
-    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left")
+    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left", y=1.0)
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
     figure_legend(figure)
@@ -305,14 +340,13 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     n_points = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
     n_points = int(np.clip(n_points, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else 0
     for i, pair in enumerate(pairs):
-        group = f"{_CURVES}{i}" if len(pairs) > 1 else None
+        group = f"{CURVES}{i}" if len(pairs) > 1 else None
         for j, axes in enumerate(panels):
             shown_s = max(shown_s, _draw_decay(axes, pair, j, n_points, group))
         title = f"{literal(pair.source)} to {literal(pair.receiver)}"
         title += f", {literal(pair.state)}" if pair.state else ""
         title += "" if pair.use == "fit" else ", not fitted"
-        top = 1.0 - 0.1 / figure.get_figheight()
-        figure.text(0.5, top, title, ha="center", va="top", gid=group)
+        title_of_pair(figure, title, group)
     panels[0].set_xlim(0.0, shown_s)
     figure_legend(figure, title=" ")  # the names of pairs stand in place of its title
     return figure
@@ -323,9 +357,21 @@ def decay_panels(centres_hz: FloatArray) -> tuple[Figure, list[Axes]]:
     across, up = "time after emission (s)", "energy decay curve (dB)"
     figure, panels = panels_of(len(centres_hz), across, up, 2.3)
     for axes, centre in zip(panels, centres_hz, strict=True):
-        axes.set_title(f"{centre:g} Hz", fontsize=9, loc="left")
+        axes.set_title(f"{centre:g} Hz", fontsize=9, loc="left", y=1.0)
     panels[0].set_ylim(LOWEST_DB, 2.0)
     return figure, panels
+
+
+def title_of_pair(figure: Figure, title: str, group: str | None) -> None:
+    """Name a pair above all panels, in place of the title of their legend."""
+    top = 1.0 - 0.05 / figure.get_figheight()
+    figure.text(0.5, top, title, ha="center", va="top", gid=group)
+
+
+def words_of_panel(axes: Axes, words: str, group: str | None) -> None:
+    """Write something about a pair above the right end of a panel."""
+    where: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "bottom"}
+    axes.text(1.0, 1.03, words, fontsize=8, color="0.2", gid=group, **where)
 
 
 def _draw_decay(
@@ -360,10 +406,7 @@ def _draw_decay(
     for artist in drawn:
         artist.set_gid(group)
         axes.add_artist(artist)
-    axes.text(
-        1.0, 1.03, words, transform=axes.transAxes, ha="right", va="bottom", fontsize=8,
-        color="0.2", gid=group,
-    ).set_in_layout(False)  # fmt: skip
+    words_of_panel(axes, words, group)
     known = np.isfinite(measured) & (measured > LOWEST_DB)
     return float(decay.time_s[known].max(initial=0.0))
 
@@ -403,8 +446,7 @@ def decay_time_figure(
     Pale boxes are one just noticeable difference about the first of the two or three series, which
     differ by shape and colour; black lines are limits: bands, lowest and highest time.
     """
-    figure = new_figure(7.6, 3.2)
-    axes = figure.add_subplot()
+    figure, (axes,) = grid_of(1, 1, 7.6, 3.2)
     at = bands_side_by_side(axes, centres_hz)
     first = series[0].values_s
     step = jnd_of("T30_s", first)

@@ -220,20 +220,26 @@ def draw(predicted: Predicted, pair: int = 0) -> Figure:
     return predicted_decay_figure(predicted, predicted.pairs[pair])
 
 
-def pair_drawings(predicted: Predicted) -> Iterator[Drawing]:
+def pair_drawings(predicted: Predicted) -> tuple[Drawing, ...]:
     """Return the decay curves of the first pairs, which are files beside the page."""
-    for i, pair in enumerate(predicted.pairs[:_MOST_PICTURES], start=1):
-        name = f"predicted_{i:02d}_{in_file_name(pair.source, pair.receiver)}"
-        maker = "prediction_figures.predicted_decay_figure"
-        yield Drawing(name, "Energy decay curves", "", maker, (predicted, pair))
+    pairs = predicted.pairs[:_MOST_PICTURES]
+    names = tuple(
+        f"predicted_{i:02d}_{in_file_name(pair.source, pair.receiver)}"
+        for i, pair in enumerate(pairs, start=1)
+    )
+    maker = "prediction_figures.predicted_decay_figure"
+    of, title = (predicted, *pairs), "Energy decay curves"
+    return (Drawing("predicted", title, "", maker, of, choices=names, files=names),) * bool(pairs)
 
 
-def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
+def grid_drawings(predicted: Predicted, scene: Scene) -> tuple[Drawing, ...]:
     """Return the maps of every source."""
+    maker, of = "prediction_figures.grid_figure", (predicted, scene)
     sources = dict.fromkeys(pair.source for pair in predicted.pairs)
-    for i, source in enumerate(sources, start=1):
-        name, maker = f"grid_{i:02d}_{in_file_name(source)}", "prediction_figures.grid_figure"
-        yield Drawing(name, "Maps", "", maker, (predicted, scene, source))
+    return tuple(
+        Drawing(f"grid_{i:02d}_{in_file_name(source)}", "Maps", "", maker, (*of, source))
+        for i, source in enumerate(sources, start=1)
+    )
 
 
 def _is_said(predicted: Predicted, code: Code, band_hz: float) -> bool:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
@@ -17,12 +21,16 @@ from roomfit.design.positions import Design
 from roomfit.predict.grid import MAPPED
 from roomfit.predict.prediction import Predicted, PredictedPair, named_values
 from roomfit.report.figures import (
+    CURVES,
     LOWEST_DB,
     bands_side_by_side,
     decay_panels,
     figure_legend,
+    grid_of,
     literal,
     new_figure,
+    title_of_pair,
+    words_of_panel,
 )
 from roomfit.report.predicted import SHOWN
 from roomfit.report.room_figure import draw_edges, draw_faces, drawn_faces, outline_m
@@ -50,8 +58,8 @@ def change_figure(predicted: Predicted) -> Figure:
     shown = [(n, label, means[n]) for n, label, _ in SHOWN if n in means]
     rows = [(n, x, v, v.change) for n, x, v in shown if v.change is not None]
     rows = [row for row in rows if np.isfinite(row[3].change).any()]
-    figure = new_figure(9.0, 2.2 * -(-len(rows) // 2) + 0.8)
-    panels = figure.subplots(-(-len(rows) // 2), 2, squeeze=False).ravel()
+    n = -(-len(rows) // 2)
+    figure, panels = grid_of(n, 2, 9.0, 2.2 * n + 0.8)
     for unused in panels[len(rows) :]:
         unused.set_visible(False)
     for axes, (name, label, v, c) in zip(panels, rows, strict=False):
@@ -70,53 +78,62 @@ def change_figure(predicted: Predicted) -> Figure:
             x = at + 0.16 * (i - 1.5)
             axes.vlines(x, low, high, color=color, lw=1.6)
             axes.plot(x, middle, "o", color=color, ms=4, label=text)
-        axes.set_title(label, fontsize=9)
+        axes.set_title(label, fontsize=9, y=1.0)
     figure.supxlabel("frequency (Hz)", fontsize=10)
-    figure_legend(figure, 4, "mean with " + literal("; ".join(predicted.changes), 80))
+    words = "mean with " + literal("; ".join(predicted.changes), 80)
+    figure_legend(figure, 4, words, gaps_in=(0.5, 0.55))
     return figure
 
 
-def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
-    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
+def predicted_decay_figure(predicted: Predicted, *pairs: PredictedPair) -> Figure:
+    """Return predicted energy decay curves, one panel a band, measured ones beside.
+
+    Of several pairs those of each are in a group, as in `decay_figure`.
+    """
     figure, panels = decay_panels(predicted.bands.centres_hz)
-    decay, times = pair.decay, {str(name): value for name, value in pair.parameters.items()}
-    key = decay_time_key(times)
-    curves = [
-        ("predicted before the change", decay.before_db, OKABE_ITO[0], "--"),
-        (
-            "measured before the change" if predicted.compares_states else "measured",
-            decay.measured_db,
-            "black",
-            "-",
-        ),
-        (
-            "predicted after the change" if predicted.changes else "predicted",
-            decay.predicted_db,
-            OKABE_ITO[1],
-            "-",
-        ),
-    ]
     shown_s = 1e-3
-    for j, axes in enumerate(panels):
-        axes.fill_between(
-            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
-            lw=0.0, label="95 % interval (absorption alone)",
-        )  # fmt: skip
-        for label, level_db, colour, style in curves:
-            if level_db is not None:
-                axes.plot(decay.time_s, level_db[j], style, color=colour, lw=1.5, label=label)
-        known = decay.predicted_db[j] > LOWEST_DB
-        shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
-        if key is not None and np.isfinite(times[key].predicted[j]):
-            title = f"{axes.get_title(loc='left')}: {parameter(key).symbol}"
-            title += f" {times[key].predicted[j]:.2f} s"
-            axes.set_title(title, fontsize=9, loc="left")
+    for i, pair in enumerate(pairs):
+        group = f"{CURVES}{i}" if len(pairs) > 1 else None
+        for j, axes in enumerate(panels):
+            _draw_predicted(axes, predicted, pair, j, group)
+        known = np.any(pair.decay.predicted_db > LOWEST_DB, axis=0)
+        shown_s = max(shown_s, float(pair.decay.time_s[known].max(initial=0.0)))
+        title = f"{literal(pair.source)} to {literal(pair.receiver)}"
+        if predicted.changes:
+            title += " with " + literal("; ".join(predicted.changes), 80)
+        title_of_pair(figure, title, group)
     panels[0].set_xlim(0.0, shown_s)
-    title = f"{literal(pair.source)} to {literal(pair.receiver)}"
-    if predicted.changes:
-        title += " with " + literal("; ".join(predicted.changes), 80)
-    figure_legend(figure, 3, title)
+    figure_legend(figure, 3, " ")
     return figure
+
+
+def _draw_predicted(
+    axes: Axes, predicted: Predicted, pair: PredictedPair, band: int, group: str | None
+) -> None:
+    decay, times = pair.decay, {str(name): value for name, value in pair.parameters.items()}
+    measured = "measured before the change" if predicted.compares_states else "measured"
+    now = "predicted after the change" if predicted.changes else "predicted"
+    label = "95 % interval (absorption alone)"
+    low, high = (np.column_stack((decay.time_s, y[band])) for y in (decay.lower_db, decay.upper_db))
+    known = np.isfinite(low + high).all(axis=1)
+    look: dict[str, Any] = {"color": OKABE_ITO[1], "alpha": 0.25, "lw": 0.0}
+    area = np.concatenate((low[known], high[known][::-1]))
+    drawn: list[Artist] = [Polygon(area, label=label, **look)] if known.any() else []
+    for label, level_db, colour, style in (
+        ("predicted before the change", decay.before_db, OKABE_ITO[0], "--"),
+        (measured, decay.measured_db, "black", "-"),
+        (now, decay.predicted_db, OKABE_ITO[1], "-"),
+    ):
+        if level_db is not None:
+            look = {"color": colour, "lw": 1.5, "ls": style}
+            drawn.append(Line2D(decay.time_s, level_db[band], label=label, **look))
+    for artist in drawn:
+        artist.set_gid(group)
+        axes.add_artist(artist)
+    key = decay_time_key(times)
+    if key is not None and np.isfinite(times[key].predicted[band]):
+        words = f"{parameter(key).symbol} {times[key].predicted[band]:.2f} s"
+        words_of_panel(axes, words, group)
 
 
 def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
@@ -185,8 +202,8 @@ def treatment_figure(treatment: Treatment) -> Figure:
     The less of a surface is covered the paler it is; covered walls towards the viewer are seen
     through.
     """
-    figure = new_figure(6.4, 4.4)
-    axes, room = figure.add_subplot(), treatment.room.scene.room
+    figure, (axes,) = grid_of(1, 1, 6.4, 4.4)
+    room = treatment.room.scene.room
     texts: dict[str, list[str]] = {}
     covered: dict[str, float] = {}
     for h in treatment.arrangements[0].hung:
@@ -213,9 +230,8 @@ def treatment_figure(treatment: Treatment) -> Figure:
         for s, t in texts.items()
     ]
     handles.append(Patch(facecolor="#EEEEEE", edgecolor="#777777", label="as it is"))
-    axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False, fontsize=8
-    )
+    figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=8)
+    figure.subplots_adjust(0.02, min(0.05 + 0.042 * len(handles), 0.7), 0.98, 0.98)
     return figure
 
 
@@ -231,8 +247,7 @@ def design_map(design: Design) -> Figure:
     size = np.ptp(design.scene.room.mesh.vertices_m, axis=0)
     across = _MAP_IN - 1.1
     tall = [min(across * max(size[i] / max(size[0], 1e-9), 0.18), 7.0) for i in (1, 2)]
-    figure = new_figure(_MAP_IN, sum(tall) + 2.1)
-    plan, side = figure.subplots(2, 1, sharex=True, height_ratios=tall)
+    figure, (plan, side) = grid_of(2, 1, _MAP_IN, sum(tall) + 2.1, sharex=True, height_ratios=tall)
     for axes, up, title, label in (
         (plan, 1, "from above", "y (m)"),
         (side, 2, "from the side", "z (m)"),
