@@ -29,9 +29,9 @@ from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import read_measurements
-from roomfit.files.iso3382 import read_parameters
 from roomfit.files.rooms import read_room
 from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+from roomfit.files.values import read_parameters
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.compare import compared_values
 from roomfit.fit.measurements import observe

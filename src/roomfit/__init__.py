@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from roomfit.design.positions import Design, design
     from roomfit.files.campaign import read_campaign
     from roomfit.files.inputs import load_campaign
-    from roomfit.files.iso3382 import read_parameters
     from roomfit.files.questions import question_of
     from roomfit.files.responses import read_response
     from roomfit.files.responses.recordings import ResponseSpec
     from roomfit.files.results import read_result, write_result
     from roomfit.files.rooms import read_room
     from roomfit.files.rooms.model import RoomSpec
+    from roomfit.files.values import read_parameters
     from roomfit.fit.traced_room import TracedRoom
     from roomfit.identify import identify
     from roomfit.impedance.data import Observed

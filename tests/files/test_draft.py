@@ -15,11 +15,11 @@ from roomfit.files.draft import (
     likely_units,
     likely_up,
     plausible_units,
-    read_positions,
 )
 from roomfit.files.file_names import matching_files
 from roomfit.files.rooms import read_model
 from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.values import read_positions
 from roomfit.formats.model import METRES_PER_UNIT
 from small_campaign import (
     LENGTHS_M,

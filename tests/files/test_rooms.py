@@ -289,9 +289,9 @@ def test_tables_name_the_row_that_is_wrong(tmp_path):
     for text, said in (
         (heading + "1,a,1,2,99\n", "corner 99 in plane 1"),
         (heading + "1,a,1,2\n", "fewer than three corners\n.*line 2"),
-        (heading + "1,a,1,2,3\n1,b,1,2,4\n", "twice"),
-        ("1,a,1,2,3\n", "no heading"),
-        (heading, "no planes"),
+        (heading + "1,a,1,2,3\n1,b,1,2,4\n", "number of its own"),
+        ("1,a,1,2,3\n", "without a heading"),
+        (heading, "table of planes without values"),
     ):
         path = write(tmp_path, "bad.csv", text)
         with pytest.raises(InputError, match=said):

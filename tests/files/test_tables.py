@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 
 from roomfit.base.errors import InputError
-from roomfit.files.draft import read_positions
-from roomfit.files.iso3382 import read_parameters
 from roomfit.files.results import read_materials as read_table
-from roomfit.files.reverberation import read_decay_times
 from roomfit.files.tables import table_rows
+from roomfit.files.values import read_decay_times, read_parameters, read_positions
 
 
 def workbook(folder: Path, rows: list[list[object]], *, before: str = "") -> Path:
@@ -112,15 +110,15 @@ def refusal(call, *arguments) -> InputError:
 @pytest.mark.parametrize(
     ("read", "content", "what", "found", "needed"),
     [
-        (read_parameters, "source,receiver,parameter\nS,R,T30\n", "bands", "parameter", "fourth"),
-        (read_parameters, ISO + ",R,T30,1,1\n", "without source", ",R,T30", "source,receiver"),
+        (read_parameters, "source,receiver,parameter\nS,R,T30\n", "without bands", "par", "125, 250"),
+        (read_parameters, ISO + ",R,T30,1,1\n", "without source", " to R", "source any"),
         (read_parameters, ISO + "S,R,T30,much,1\n", "not a number", "'much'", "a number, or an"),
         (read_parameters, ISO, "without values", "1 line", "lines of values"),
         (read_parameters, ISO + "S,R,T30_sd,-1,1\nS,R,T30,1,1\n", "below zero", "-1", "0 or more"),
-        (read_decay_times, "name,500\nA,1.0,2.0\n", "more decay times", "2", "1, one for each"),
-        (read_decay_times, "name,500\nA,long\n", "not a number", "'long'", "a time in s"),
-        (read_decay_times, "name,500\n", "without values", "1 line", "a line of centres"),
-        (read_positions, "# nothing\n", "is empty", "no line", "name, x, y, z"),
+        (read_decay_times, "name,500\nA,1.0,2.0\n", "more values", "2", "1, one for each"),
+        (read_decay_times, "name,500\nA,long\n", "not a number", "'long'", "a number, or an"),
+        (read_decay_times, "name,500\n", "without values", "1 line", "lines of values"),
+        (read_positions, "# nothing\n", "is empty", "no line", "x, y, z"),
         (read_table, HEAD + "a,500,a lot,0.1,0.2,true\n", "not a number", "'a lot'", "a number"),
         (read_table, HEAD + "brick,500,0.1,0.1\n", "not a number", "''", "a number"),
     ],
@@ -141,7 +139,7 @@ def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path):
     file = tmp_path / "absorption.csv"
     row = "brick,500,0.1,0.1,0.2,true\n"
     file.write_text(HEAD + row + row.replace("500,0.1,0.1", "1000,0.1,,"), encoding="utf-8")
-    assert "column lower95 of row 2" in str(refusal(read_table, file).where)
+    assert "line 3, column lower95" in str(refusal(read_table, file).where)
     file = tmp_path / "times.csv"
     file.write_text("name,500,1000\nA,1.0,1.0\nB,1.0,one\n", encoding="utf-8")
     assert "line 3, column 3" in str(refusal(read_decay_times, file).where)

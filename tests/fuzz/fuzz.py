@@ -158,12 +158,12 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     from roomfit.files.campaign import read_campaign
     from roomfit.files.directivity import read_directivity
     from roomfit.files.inputs import check_room, identify_arguments
-    from roomfit.files.iso3382 import read_parameters
     from roomfit.files.responses import read_response
     from roomfit.files.responses.recordings import ResponseSpec
     from roomfit.files.results import read_materials, read_result
     from roomfit.files.rooms import read_mesh
     from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+    from roomfit.files.values import read_parameters
     from roomfit.impedance.campaign import read_spectrum
 
     bands = bands_between("octave", 500, 1000)

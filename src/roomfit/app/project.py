@@ -20,7 +20,7 @@ from roomfit.base.findings import Edit
 from roomfit.base.whole_files import write_text_atomically
 from roomfit.cli.export import export_result
 from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
-from roomfit.files.draft import Positions, draft_campaign, read_positions
+from roomfit.files.draft import Positions, draft_campaign
 from roomfit.files.edits import (
     edited_text,
     read_beside,
@@ -35,6 +35,7 @@ from roomfit.files.responses.sweep import response_name
 from roomfit.files.rooms import READERS
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.files.tables import TABLE_SUFFIXES
+from roomfit.files.values import read_positions
 
 CAMPAIGN = "campaign.toml"
 QUICK, FULL = "first", "result"

@@ -21,16 +21,16 @@ from roomfit.base.findings import Finding
 from roomfit.base.table import Table, html_of
 from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.draft import check_unit, read_positions
+from roomfit.files.draft import check_unit
 from roomfit.files.encoding import finding_content, number_or_null
 from roomfit.files.inputs import check_campaign
 from roomfit.files.remedies import advised
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
-from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import read_mesh
 from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.values import read_decay_times, read_positions
 from roomfit.formats.model import UnchosenSpaceError
 from roomfit.report.check import recordings_blocks
 from roomfit.report.room_figure import MOST_FACES, outline_m

@@ -27,7 +27,7 @@ from roomfit.files.encoding import finding_content, numbers_or_null, written_con
 from roomfit.files.inputs import campaign_room
 from roomfit.files.questions import Wanted, question_of, question_of_pairs
 from roomfit.files.results import read_result
-from roomfit.files.reverberation import read_decay_times
+from roomfit.files.values import read_decay_times
 from roomfit.predict.changes import Change, read_change
 from roomfit.predict.diffuse import NAME, PreparedField
 from roomfit.predict.predict import ChangingRoom, predict_change, prepare

@@ -83,6 +83,12 @@ def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
     return Bands(kind, np.array(chosen))
 
 
+def bands_of(centres_hz: ArrayLike) -> Bands:
+    """Return bands of nominal centres in Hz: octaves where all are those of octaves."""
+    centres = np.asarray(centres_hz, dtype=np.float64)
+    return Bands("octave" if set(centres.tolist()) <= set(OCTAVES_HZ) else "third-octave", centres)
+
+
 def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
     """Return the exact centres ``1000 * 10**(3 k / (10 b))`` nearest to nominal ones."""
     nominal = np.asarray(nominal_hz, dtype=np.float64)

@@ -15,12 +15,12 @@ from roomfit.base.errors import InputError
 from roomfit.base.whole_files import check_place, make_folder, write_text_atomically
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import blanks
-from roomfit.files.draft import draft_campaign, likely_units, read_positions
+from roomfit.files.draft import draft_campaign, likely_units
 from roomfit.files.edits import sole_editor
 from roomfit.files.file_names import matching_files, recordings_in
-from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import READERS
 from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.values import read_decay_times, read_positions
 from roomfit.report.wording import count
 
 

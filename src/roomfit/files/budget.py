@@ -83,12 +83,6 @@ def uncertainty_budget(
         Band by band, materials in the order of the result, the mean last. Left out: a material of
         which nothing is known, and bands without responses.
 
-    Raises
-    ------
-    InputError
-        The file is no result, a band was not fitted, or the result does not state its terms: one of
-        decay times, of room parameters alone, or of an earlier roomfit.
-
     Notes
     -----
     ``sd_without`` is the standard deviation that the answer would have if one term were left out
@@ -102,19 +96,6 @@ def uncertainty_budget(
     References
     ----------
     .. [1] JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 5.1, 7.2, 8.
-
-    Examples
-    --------
-    >>> content = {
-    ...     "bands_hz": [500.0],
-    ...     "materials": {"wall": {"absorption": [0.5], "lower95": [0.4], "upper95": [0.6]}},
-    ...     "sd_without": [{"nothing": [0.2], "noise": [0.16], "prior": [0.3]}],
-    ...     "posterior": {"logit_covariance": [[[0.04]]]},
-    ...     "combinations": [],
-    ... }
-    >>> (one,) = budgets(content, (500.0,))
-    >>> {name: round(part / one.standard**2, 2) for name, part in one.variances.items()}
-    {'noise': 0.36, 'after the fit': 0.0, 'remainder': 0.64}
     """
     if isinstance(result, Result):
         return budgets(result_content(result, ()), bands_hz)
@@ -213,13 +194,7 @@ def _budget(
 
 
 def contribution(variance: float) -> float:
-    """Return a contribution in absorption: the root of a variance, with its sign.
-
-    Examples
-    --------
-    >>> contribution(0.0004), contribution(-0.0001)
-    (0.02, -0.01)
-    """
+    """Return a contribution in absorption: the root of a variance, with its sign."""
     return float(np.copysign(np.sqrt(abs(variance)), variance))
 
 

@@ -46,13 +46,7 @@ __all__ = [
 
 
 def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
-    """Return the content of a file of ours.
-
-    Raises
-    ------
-    InputError
-        It is missing, too large, not text or not TOML.
-    """
+    """Return the content of a file of ours."""
     content = read_bytes(path, what, most="campaign_bytes")
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
@@ -79,13 +73,7 @@ FILL_IN = "FILL IN"  # what `roomfit init` leaves to be filled in
 
 
 def blanks(content: object, key: str = "") -> list[str]:
-    """Return the keys of a campaign whose values are still to be filled in.
-
-    Examples
-    --------
-    >>> blanks({"sources": {"S1": {"position": FILL_IN}}, "measurements": [{"file": "a.wav"}]})
-    ['sources.S1.position']
-    """
+    """Return the keys of a campaign whose values are still to be filled in."""
     if content == FILL_IN:
         return [key]
     if isinstance(content, dict):

@@ -34,12 +34,6 @@ def read_directivity(
     aim, up : array_like, shape (3,)
         Where the front and the top of the loudspeaker point in the room. In the file's own frame
         they are `SourceView` and `SourceUp`, x and z where it does not say.
-
-    Raises
-    ------
-    InputError
-        No SOFA file, no such data, directions that leave a hole, or a band for which the file has
-        no frequency.
     """
     content = read_bytes(path, "directivity file")
     with located(str(path)):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from roomfit.files.edits import value_text
 from roomfit.files.encoding import one_line
 from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.rooms.model import RoomSpec
-from roomfit.files.tables import number_in, table_rows
+from roomfit.files.values import UNIT_WORDS
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.room.audience import audience_area_m2
@@ -34,17 +33,6 @@ from roomfit.room.scene import is_level_by_name, material_areas, surface_materia
 
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
 _LEAST_M, _HIGHEST_M, _LONGEST_M, _LARGEST_M3 = 1.5, 20.0, 150.0, 60_000.0
-_UNITS = {
-    word: unit
-    for unit, words in {
-        "m": "m meter meters metre metres",
-        "mm": "mm millimeter millimeters millimetre millimetres",
-        "cm": "cm centimeter centimeters centimetre centimetres",
-        "ft": "ft foot feet",
-        "in": "in inch inches",
-    }.items()
-    for word in words.split()
-}
 _STATED_UNIT = re.compile(r"\bunits?\b\W{0,4}([a-z]+)", re.IGNORECASE)
 _HEADER_BYTES = 4096
 _CLEARLY = 0.75  # an axis along which a room is shorter than that points up
@@ -62,30 +50,19 @@ def likely_units(room: Path, space: str | None = None) -> dict[str, str]:
 
     A format or a header that states its unit decides; else it is by size, and more than one unit,
     or none, means that somebody must say.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is of no known format.
     """
     model, _ = read_model(RoomSpec(file=room, space=space))
     if model.unit is not None:
         return {model.unit: "by the format of the file"}
     head = read_bytes(room, "room file")[:_HEADER_BYTES].decode("ascii", errors="replace")
-    stated = [_UNITS[m.lower()] for m in _STATED_UNIT.findall(head) if m.lower() in _UNITS]
+    stated = [UNIT_WORDS[m.lower()] for m in _STATED_UNIT.findall(head) if m.lower() in UNIT_WORDS]
     if stated:
         return {stated[0]: "by the header of the file"}
     return plausible_units(np.ptp(model.vertices, axis=0))
 
 
 def plausible_units(size: FloatArray) -> dict[str, str]:
-    """Return the units in which a bounding box, shape (3,), is a room, with its lengths in words.
-
-    Examples
-    --------
-    >>> plausible_units(np.array([6.0, 5.0, 3.0])), list(plausible_units(np.array([30, 20, 10])))
-    ({'m': 'the room is then 6 x 5 x 3 m'}, ['m', 'ft'])
-    """
+    """Return the units in which a bounding box, shape (3,), is a room, with its size in words."""
     found = {}
     for unit, metres in METRES_PER_UNIT.items():
         lengths = size * metres
@@ -116,56 +93,6 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
     return model.up, ""
 
 
-def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Return positions in m by name from a table: name, x, y, z, with or without a heading.
-
-    Separated by commas, or by tabs or semicolons with decimal commas; or an Excel workbook. A
-    heading may state the unit, as in ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, metres.
-
-    Raises
-    ------
-    InputError
-        The table cannot be read, or a line is not understood.
-    """
-    delimiter, rows = table_rows(path, "table of positions")
-    found: dict[str, tuple[float, float, float]] = {}
-    factor, needed = 1.0, "a name that stands once, and x, y, z"
-    for place, (number, cells) in enumerate(rows):
-        where, line = f"{path}, line {number}", repr(delimiter.join(cells))
-        are_whole = all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
-        if delimiter == "," and len(cells) == 7 and are_whole:
-            raise InputError(
-                "decimal commas cannot be distinguished from commas between columns",
-                where=where,
-                found=line,
-                needed="semicolons or tabs between columns, or decimal points",
-                hint="save the table with semicolons",
-            )
-        with suppress(InputError, ValueError):  # no number, or not three cells
-            x, y, z = (number_in(c.replace(",", "."), where, needed) for c in (*cells, "")[1:4])
-            if cells[0] not in found:
-                found[cells[0]] = (round(factor * x, 6), round(factor * y, 6), round(factor * z, 6))
-                continue
-        if found or place:
-            what = "a line of the table of positions is not understood"
-            hint = "correct the line, or remove it"
-            raise InputError(what, where=where, found=line, needed=needed, hint=hint)
-        words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
-        units = [_UNITS[w] for w in words if w in _UNITS]
-        # "x in cm" is centimetres
-        unit = next((u for u in units if u != "in"), units[0] if units else "m")
-        factor = METRES_PER_UNIT[unit]
-    if not found:
-        raise InputError(
-            "the table of positions is empty",
-            where=str(path),
-            found="no line of a name and three numbers",
-            needed="lines name, x, y, z",
-            hint="write one line for each source or receiver, as S1,1.2,3.4,1.5",
-        )
-    return found
-
-
 def draft_campaign(
     room: RoomSpec | None,
     recordings: Mapping[str, tuple[str, str]],
@@ -194,11 +121,6 @@ def draft_campaign(
         Why the unit is what it is, where the caller chose it among several.
     decay_times : Path, optional
         A table of decay times, which then stands in place of positions and recordings.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
     if decay_times is not None:
         commands = (
@@ -309,13 +231,7 @@ def _area_lines(kind: str, things: Sequence[Thing], mesh: Mesh) -> list[str]:
 
 
 def check_unit(mesh: Mesh, positions: Positions) -> None:
-    """Refuse positions most of which lie outside the room, and all of which inside in some unit.
-
-    Raises
-    ------
-    InputError
-        They do.
-    """
+    """Refuse positions most of which lie outside the room, and all of which inside in some unit."""
     points = np.array(list(positions.values())).reshape(-1, 3)
     low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
 

@@ -32,13 +32,7 @@ _Path: TypeAlias = tuple[str | int, ...]
 
 
 def value_text(value: object) -> str:
-    """Return a value as TOML writes it.
-
-    Examples
-    --------
-    >>> [value_text(v) for v in ("fit", True, 0.02, (1.0, 2.0, 1.5), {"a b": 1})]
-    ['"fit"', 'true', '0.02', '[1.0, 2.0, 1.5]', '{"a b" = 1}']
-    """
+    """Return a value as TOML writes it."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{_key_text([k])} = {value_text(v)}' for k, v in value.items())}}}"
     if isinstance(value, list | tuple):
@@ -55,25 +49,13 @@ def _key_text(path: Sequence[str | int]) -> str:
 
 
 def heading(table: Sequence[str | int]) -> str:
-    """Return a table as its first line names it.
-
-    Examples
-    --------
-    >>> heading(("receivers", "R 1")), heading(("measurements", 3))
-    ('[receivers."R 1"]', '[[measurements]]')
-    """
+    """Return a table as its first line names it."""
     text = f"[{_key_text(table)}]"
     return f"[{text}]" if table and isinstance(table[-1], int) else text
 
 
 def lines_of(edits: Sequence[Edit]) -> list[str]:
-    """Return what edits write, as somebody would by hand: each table once, and its keys below.
-
-    Examples
-    --------
-    >>> lines_of([Edit(("measurements", 3), "level", "per-file")])
-    ['[[measurements]], no. 3', 'level = "per-file"']
-    """
+    """Return what edits write, as somebody would by hand: each table once, and its keys below."""
     lines = []
     for table, own in groupby(edits, key=lambda edit: edit.table):
         number = f", no. {table[-1]}" if isinstance(table[-1], int) else ""
@@ -104,17 +86,6 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
 
     A new key stands below the last one of its table, a new table at the end. Each line that is a
     comment stays, also of what is taken out.
-
-    Raises
-    ------
-    InputError
-        The text is no TOML, or written in a way that does not allow it, as with all materials in
-        one value of several lines: read again, it has not exactly these keys changed.
-
-    Examples
-    --------
-    >>> edited_text("[sources.S] # mine", [Edit(("sources", "S"), "directivity", "fit")])
-    '[sources.S] # mine\\ndirectivity = "fit"\\n'
     """
     what, found = "the campaign file is not valid TOML", ""
     try:
@@ -136,13 +107,7 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
 
 
 def without_tables(text: str, tables: Collection[_Path]) -> str:
-    """Return a text without some tables, and what is below them; lines that are comments stay.
-
-    Examples
-    --------
-    >>> without_tables("[a]\\nx = 1\\n[[b]]\\n# mine\\n[[b]]\\ny = 2\\n", [("b", 2), ("a",)])
-    '[[b]]\\n# mine\\n'
-    """
+    """Return a text without some tables, and what is below them; lines that are comments stay."""
     return "".join(
         _comments(one.text) if any(one.table[: len(t)] == t for t in tables) else one.text
         for one in _statements(text)
@@ -327,13 +292,7 @@ def read_beside(folder: Path, text: str) -> Iterator[Campaign]:
 
 
 def preview(file: Path, edits: Sequence[Edit]) -> Preview:
-    """Return what a campaign would be with some keys changed, and write nothing.
-
-    Raises
-    ------
-    InputError
-        The campaign cannot be edited key by key, or could not be read any more.
-    """
+    """Return what a campaign would be with some keys changed, and write nothing."""
     before = campaign_text(file)
     after, content, lines = edited_text(before, edits), tomllib.loads(before), []
     for edit in edits:
@@ -364,13 +323,6 @@ def rewrite(file: Path, change: Callable[[str], str]) -> None:
 
     `change`: returns the text that is to stand there, of the one that does; where both are equal
     the file keeps its time.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or another process has had it for five seconds; or as `change`.
-    StoreError
-        The disk refuses.
     """
     with sole_editor(file), located(str(file)):
         before = campaign_text(file)
@@ -380,13 +332,7 @@ def rewrite(file: Path, change: Callable[[str], str]) -> None:
 
 
 def apply(file: Path, wanted: Preview) -> None:
-    """Write what was previewed, and keep the text that was there, so that one step can be undone.
-
-    Raises
-    ------
-    InputError
-        The campaign has changed since the preview.
-    """
+    """Write what was previewed, and keep the text that was there: one step can be undone."""
 
     def change(text: str) -> str:
         if text != wanted.before:
@@ -422,13 +368,7 @@ def can_undo(file: Path) -> bool:
 
 
 def undo(file: Path) -> None:
-    """Write the campaign as it was before the last remedy.
-
-    Raises
-    ------
-    InputError
-        There was none, or the campaign was edited since, which would be lost.
-    """
+    """Write the campaign as it was before the last remedy."""
 
     def change(text: str) -> str:
         before = _undone(file, text)

@@ -36,11 +36,6 @@ def written_content(file: ResultFile, what: str) -> tuple[Any, tuple[Finding, ..
     """Return what a JSON file of roomfit holds, and whether its digest vouches for it.
 
     A file without digest, by hand or of an earlier version, is read and named in a finding.
-
-    Raises
-    ------
-    InputError
-        No JSON, or its content is not that of its digest and the file no `EditedFile`.
     """
     path = path_of(file)
     text = read_text(path, what)
@@ -57,13 +52,7 @@ def written_content(file: ResultFile, what: str) -> tuple[Any, tuple[Finding, ..
 
 
 def digest_findings(file: ResultFile, what: str, found: str, needed: object) -> tuple[Finding, ...]:
-    """Return what a digest says of a file; `needed` is None where nothing states it.
-
-    Raises
-    ------
-    InputError
-        The two differ, and the file is no `EditedFile`.
-    """
+    """Return what a digest says of a file; `needed` is None where nothing states it."""
     path = path_of(file)
     if found == needed:
         return ()
@@ -112,13 +101,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
 
 
 def finding_of(content: Mapping[str, Any], where: str) -> Finding:
-    """Return the finding that `finding_content` wrote; `about` is empty in older files.
-
-    Raises
-    ------
-    InputError
-        The code is unknown, or not of this severity.
-    """
+    """Return the finding that `finding_content` wrote; `about` is empty in older files."""
     code, severity = code_of(content.get("code"), where), content.get("severity")
     graded = None if len(code.severities) < 2 else severity
     about = About(**content.get("about", {}))

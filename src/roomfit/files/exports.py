@@ -81,11 +81,6 @@ def short_names(names: tuple[str, ...]) -> dict[str, str]:
     """Return a name of ASCII letters, digits and underscores for each, beginning with a letter.
 
     At most 15 of them. No two are alike, not even in another case, which some programs ignore.
-
-    Examples
-    --------
-    >>> short_names(("Wand grün", "wall", "Wall"))
-    {'Wand grün': 'Wand_grun', 'wall': 'wall', 'Wall': 'Wall_2'}
     """
     given: dict[str, str] = {}
     for name in names:

@@ -27,16 +27,6 @@ def shape_of(
         The source and the receiver, where they are given.
     one_of : iterable of str, optional
         Names that either may have, in letters of any case; left out: any.
-
-    Raises
-    ------
-    InputError
-        It lacks {source} or {receiver}, or they name a folder.
-
-    Examples
-    --------
-    >>> shape_of("ir/{source}_{receiver}.wav").fullmatch("ir/LS1_MP2.wav")["receiver"]
-    'MP2'
     """
     keys = set(re.findall(r"\{(\w+)\}", template))
     if keys != {"source", "receiver"} or "{" in str(Path(template).parent):
@@ -83,12 +73,6 @@ def matching_files(
     known : iterable of str
         Names of sources and receivers. The case of letters does not matter. A name that may be
         split at several places is split where both parts are known.
-
-    Raises
-    ------
-    InputError
-        The template lacks {source} or {receiver}, or no file has its shape; or several folders
-        hold recordings.
     """
     if template is None:
         stems = {name: Path(name).stem for name in recordings_in(folder)}
@@ -135,13 +119,7 @@ def _known_in(stem: str, known: Iterable[str]) -> list[str]:
 
 
 def recordings_in(folder: Path) -> list[str]:
-    """Return recordings by their endings, relative to a folder; else those one folder below it.
-
-    Raises
-    ------
-    InputError
-        There are none in the folder, and in several below it.
-    """
+    """Return recordings by their endings, relative to a folder; else those one folder below it."""
     own = _recordings(folder)
     if own or not folder.is_dir():
         return own

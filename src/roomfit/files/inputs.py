@@ -20,7 +20,6 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.directivity import read_directivity
-from roomfit.files.iso3382 import read_parameters
 from roomfit.files.responses import read_response
 from roomfit.files.rooms import read_mesh, read_room
 from roomfit.files.rooms.model import RoomSpec
@@ -38,6 +37,7 @@ from roomfit.files.schema import (
     the_one,
 )
 from roomfit.files.schema import Directivity as FirstOrderTable
+from roomfit.files.values import read_parameters
 from roomfit.materials.catalogue import (
     SEATS,
     broad_prior_findings,
@@ -450,20 +450,7 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
 
 
 def check_room(spec: RoomSpec) -> RoomCheck:
-    """Read a room and return all its faults.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read at all, or a key of `spec.materials` matches nothing.
-
-    Examples
-    --------
-    >>> from roomfit.files.rooms.model import RoomSpec
-    >>> check = check_room(RoomSpec(shoebox=(6.0, 5.0, 3.0)))
-    >>> check.traceable, round(check.mean_free_path_m, 2)
-    (True, 2.86)
-    """
+    """Read a room and return all its faults."""
     mesh, findings = read_mesh(spec)
     return check_mesh(mesh, spec.materials, findings)
 
@@ -472,11 +459,6 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     """Return all faults of a campaign's room and of the positions of sources and receivers.
 
     Measured files are not opened. Positions are checked once the room itself has no fault.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read at all; or materials of the campaign and of the room disagree.
     """
     spec = campaign.room
     mesh, findings = read_mesh(spec)

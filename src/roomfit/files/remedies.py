@@ -44,31 +44,6 @@ def advised(
     changed : bool
         Whether the campaign was changed since the findings were raised, so that what counts from
         its values is none of it any more.
-
-    Raises
-    ------
-    InputError
-        The campaign file cannot be read.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import roomfit
-    >>> from roomfit.base.findings import About
-    >>> text = '''
-    ... [room]
-    ... shoebox = [6, 5, 3]
-    ... [sources.S]
-    ... position = [1.5, 1.2, 1.5]
-    ... '''
-    >>> fit = Remedy([Edit(("sources", "S"), "directivity", "fit")])
-    >>> doubt = Finding(Code.SOURCE_NOT_OMNIDIRECTIONAL, About(), "...", remedies=[fit])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "campaign.toml"
-    ...     _ = file.write_text(text)
-    ...     found = advised([doubt], roomfit.read_campaign(file, to_fit=False))
-    >>> found[doubt.code][0].words
-    'directivity = "fit" for S'
     """
     content, found = read_toml(campaign.path), {}
     for code in dict.fromkeys(f.code for f in findings):
@@ -128,13 +103,7 @@ def changed_since(content: Mapping[str, Any], file: Path) -> bool:
 
 
 def chosen(options: Mapping[Code, Sequence[Remedy]], wanted: str) -> Remedy:
-    """Return the remedy that is named by a code, or by a code and its number as in ``CODE:2``.
-
-    Raises
-    ------
-    InputError
-        No finding advises it.
-    """
+    """Return the remedy that is named by a code, or by a code and its number as in ``CODE:2``."""
     name, _, number = wanted.partition(":")
     own = {code.value: found for code, found in options.items()}.get(name, ())
     n = int(number or 1) if (number or "1").isdecimal() else 0
@@ -151,13 +120,7 @@ def chosen(options: Mapping[Code, Sequence[Remedy]], wanted: str) -> Remedy:
 
 
 def is_file(named: str, file: str) -> bool:
-    """Whether a name, perhaps without folders, or with more, or with a part in brackets, fits.
-
-    Examples
-    --------
-    >>> is_file("S_R.wav[1]", "recordings/S_R.wav"), is_file("x/S_R.wav", "recordings/S_R.wav")
-    (True, False)
-    """
+    """Whether a name, perhaps without folders, or with more, or with a part in brackets, fits."""
     own = Path(file).parts
     for text in (named, named.rpartition("[")[0]):
         parts = Path(text).parts

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from roomfit.base.arguments import bool_array, check_known, float_array, unique_names
-from roomfit.base.bands import OCTAVES_HZ, BandKind, Bands
-from roomfit.base.door import complete, csv_rows, decoded, read_text
+from roomfit.base.bands import Bands, bands_of
+from roomfit.base.door import complete, decoded, read_text
 from roomfit.base.errors import InputError, RoomfitError, StoreError, located
 from roomfit.base.findings import Finding
 from roomfit.base.logit import logit
@@ -37,7 +37,7 @@ from roomfit.files.encoding import (
     provenance,
     written_content,
 )
-from roomfit.files.tables import number_in
+from roomfit.files.tables import number_in, table_lines
 from roomfit.materials.priors import object_absorption
 from roomfit.result import ComparedPair, Result, absorption_posterior, departures_jnd
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
@@ -70,11 +70,6 @@ def check_disk_room(path: Path, n_pairs: int, n_results: int = 1) -> None:
 
     About so much: by what the demo writes. An earlier result stays until the new one is whole, so
     that its place does not count. A disk that does not say how much is free is not refused.
-
-    Raises
-    ------
-    StoreError
-        Too little is free.
     """
     needed_mb = (n_results * _RESULT_BYTES + n_pairs * _PAIR_BYTES) / 1e6
     with suppress(OSError):
@@ -230,13 +225,7 @@ def _directivities(by_source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Return the content of a ``result.json`` of this version, and what its digest says of it.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is no result, has unknown keys, or was changed.
-    """
+    """Return the content of a ``result.json`` of this version, and what its digest says of it."""
     content, findings = written_content(file, "result")
     with located(str(path_of(file))), complete("result", _WHOLE):
         _check_format(content)
@@ -268,20 +257,13 @@ def _check_format(content: Any) -> None:
 
 
 def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
-    """Return the materials of a ``result.json`` or an ``absorption.csv``, and the former's content.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is neither of the two, or its numbers are out of range; or its
-        content is not that of its digest, which is in the ``result.json`` beside a table.
-    """
+    """Return the materials of a ``result.json``, with its content, or of an ``absorption.csv``."""
     path = path_of(file)
     if path.suffix.lower() == ".csv":
         text = read_text(path, "result")
         findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
         with located(str(path), hint="export the table again, or give the result.json beside it"):
-            return replace(_from_csv(text), findings=findings), {}
+            return replace(_from_csv(path), findings=findings), {}
     content, findings = read_result_content(file)
     needed = "bands_hz, and for each material absorption, lower95, upper95, identifiable"
     with located(str(path)), complete("result", needed):
@@ -297,13 +279,6 @@ def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
     return table, content
 
 
-def bands_of(centres_hz: Sequence[float], chosen: BoolArray | None = None) -> Bands:
-    """Return bands of centres in Hz, or some of them: octaves where all centres are of octaves."""
-    kind: BandKind = "octave" if set(centres_hz) <= set(OCTAVES_HZ) else "third-octave"
-    centres = np.array(centres_hz, dtype=np.float64)
-    return Bands(kind, centres if chosen is None else centres[chosen])
-
-
 def text_digest(text: str) -> str:
     """Return the SHA-256 of a text file as roomfit writes it, whatever ends its lines."""
     return hashlib.sha256(decoded(text.encode(errors="replace")).encode()).hexdigest()
@@ -317,26 +292,17 @@ def _digest_beside(path: Path) -> object:
     return None
 
 
-def _from_csv(text: str) -> MaterialTable:
-    header, *lines = [cells for _, cells in csv_rows(text, "") if cells] or [[]]
-    if not (set(_COLUMNS) <= set(header) and lines):
-        raise InputError(
-            "the table of absorption lacks columns or rows",
-            found=", ".join(header)[:200] or "nothing",
-            needed=", ".join(_COLUMNS),
-            hint="give absorption.csv as roomfit identify has written it",
-        )
+def _from_csv(path: Path) -> MaterialTable:
+    lines = table_lines(path, "table of absorption", _COLUMNS, ",")
     place: dict[tuple[str, float], tuple[float, ...]] = {}
     needed, hint = "a number with a decimal point", "fill the row up, or remove it"
-    for number, cells in enumerate(lines, start=1):
-        # a row that is too short has empty cells
-        row = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
-        at = f"row {number} below the heading"
+    for where, heading, cells in lines:
+        row = dict(zip(heading, cells, strict=False))
         centre, *values = (
-            number_in(row[name], f"column {name} of {at}", needed, hint) for name in _COLUMNS[1:-1]
+            number_in(row[name], f"{where}, column {name}", needed, hint) for name in _COLUMNS[1:-1]
         )
         sure, what = row["identifiable"].lower(), "identifiable is neither true nor false"
-        check_known(what, sure, ("true", "false"), where=at, else_try=hint)
+        check_known(what, sure, ("true", "false"), where=where, else_try=hint)
         place[without_apostrophe(row["material"]), centre] = (*values, sure == "true")
     names = tuple(dict.fromkeys(name for name, _ in place))
     centres = sorted({centre for _, centre in place})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +16,8 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import Campaign
 from roomfit.files.encoding import provenance
 from roomfit.files.inputs import campaign_room, material_priors, object_areas_m2
-from roomfit.files.results import bands_of, posterior_content
-from roomfit.files.tables import number_in, table_rows
+from roomfit.files.results import posterior_content
+from roomfit.files.values import read_decay_times
 from roomfit.materials.priors import unknown_material
 from roomfit.predict.diffuse_field import (
     FORMULAS,
@@ -33,14 +32,7 @@ _DRAWS = 500  # in a file, of which predictions take as many
 
 
 def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
-    """Return a campaign as a diffuse field, with its decay times if it has any, and its room.
-
-    Raises
-    ------
-    InputError
-        The table of decay times cannot be read, neither a room nor volume and surface are given,
-        or an object has an unknown area.
-    """
+    """Return a campaign as a diffuse field, with its decay times if it has any, and its room."""
     own = campaign.reverberation
     decay_s, bands, volume = None, campaign.bands, None
     if own is not None:
@@ -154,64 +146,3 @@ def areas_by_axis_m2(room: Room) -> FloatArray:
     shares = squares / squares.sum(axis=1, keepdims=True)
     owner, n = triangle_material(room), len(room.materials)
     return np.stack([np.bincount(owner, areas * share, n) for share in shares.T])
-
-
-def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
-    """Return decay times in s, shape (n_positions, n_bands), and their bands.
-
-    The first line has nominal centres in Hz from the second column on, every further one a name
-    and a time for each band; empty cells are unknown. Commas, or tabs or semicolons with decimal
-    commas; or an Excel workbook.
-
-    Raises
-    ------
-    InputError
-        The table cannot be read, or a cell is no time of a room.
-    """
-    _, rows = table_rows(path, "table of decay times")
-    if len(rows) < 2:
-        raise InputError(
-            "a table of decay times without values",
-            where=str(path),
-            found=f"{len(rows)} line{'' if len(rows) == 1 else 's'}",
-            needed="a line of centres in Hz, and a line for each position",
-            hint="begin with a line name,125,250,500",
-        )
-    numbers = [
-        [_number(c, f"{path}, line {n}, column {i}") for i, c in enumerate(cells[1:], start=2)]
-        for n, cells in rows
-    ]
-    centres = [c for c in numbers[0] if np.isfinite(c)]
-    table = np.full((len(rows) - 1, len(centres)), np.nan)
-    for i, values in enumerate(numbers[1:]):
-        if np.any(np.isfinite(values[len(centres) :])):
-            raise InputError(
-                "more decay times than bands",
-                where=f"{path}, line {rows[i + 1][0]}",
-                found=f"{len(values)}",
-                needed=f"{len(centres)}, one for each centre of the first line",
-                hint="between semicolons decimal commas are no cells of their own",
-            )
-        kept = values[: len(centres)]
-        table[i, : len(kept)] = kept
-    known = np.isfinite(table).any(axis=0)
-    wrong = table[(table <= 0.0) | (table > 60.0)]
-    if wrong.size or not known.any():
-        raise InputError(
-            "a decay time that no room has",
-            where=str(path),
-            found=f"{wrong[0]:g} s" if wrong.size else "empty cells alone",
-            needed="above 0 and up to 60 s",
-            hint="give seconds, not ms",
-        )
-    return table[:, known], bands_of(centres, known)
-
-
-def _number(cell: str, where: str) -> float:
-    """Return a time or a frequency, which may be written as 500 Hz or 1 kHz; NaN of no cell."""
-    if not cell:
-        return float("nan")
-    number = re.sub(r"(hz|s)$", "", cell.lower()).rstrip()
-    kilo = 1000.0 if number.endswith("k") else 1.0
-    needed = "a time in s, or a centre as 500, 500 Hz or 1 kHz in the first line"
-    return kilo * number_in(number.removesuffix("k").replace(",", "."), where, needed)

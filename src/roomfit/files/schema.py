@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 from pydantic_core import PydanticUndefined
 
 from roomfit.base.air import Air
-from roomfit.base.bands import OCTAVES_HZ, Bands, bands_between
+from roomfit.base.bands import Bands, bands_between, bands_of
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.files.responses.recordings import ResponseSpec
@@ -712,8 +712,7 @@ class Campaign(Table):
         with located(f"{self.path}, identify.bands"):
             if isinstance(own.bands, str):
                 return bands_between(own.bands, own.from_hz, own.to_hz)
-            octaves = set(own.bands) <= set(OCTAVES_HZ)
-            return Bands("octave" if octaves else "third-octave", np.array(own.bands))
+            return bands_of(own.bands)
 
     @property
     def settings(self) -> Settings:
@@ -753,13 +752,6 @@ def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, .
 
 
 def json_schema(table: type[Table], what: str) -> dict[str, Any]:
-    """Return the JSON schema of a file, with which editors complete and check its keys.
-
-    Examples
-    --------
-    >>> found = json_schema(Campaign, "Campaign")
-    >>> found["$defs"]["MeasurementTable"]["properties"]["use"]["description"]
-    'Fitted, or predicted and compared only.'
-    """
+    """Return the JSON schema of a file, with which editors complete and check its keys."""
     own = {"$schema": "https://json-schema.org/draft/2020-12/schema", **table.model_json_schema()}
     return own | {"title": f"{what} of roomfit, format_version 1"}

@@ -13,13 +13,7 @@ from roomfit.base.typing import FloatArray
 
 
 def sounddevice() -> Any:
-    """Return the module sounddevice, which loads PortAudio.
-
-    Raises
-    ------
-    InputError
-        The package is missing, or PortAudio, which wheels for Linux do not bring along.
-    """
+    """Return the module sounddevice, which loads PortAudio."""
     try:
         return importlib.import_module("sounddevice")
     except (ModuleNotFoundError, OSError) as error:
@@ -42,13 +36,7 @@ class SoundCard:
     output: str | int | None = None  # to play with; None: `device`, or the default of the system
 
     def __call__(self, played: FloatArray, rate_hz: float) -> tuple[FloatArray, tuple[str, ...]]:
-        """Return the recording, shape (n_samples,), full scale 1, and faults that were reported.
-
-        Raises
-        ------
-        InputError
-            There is no such device, or it refuses the sampling rate.
-        """
+        """Return the recording, shape (n_samples,), full scale 1, and faults that were reported."""
         both = (self.device, self.device if self.output is None else self.output)
         try:
             recorded = self.backend.playrec(

@@ -9,14 +9,17 @@ import io
 import math
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
+
+import numpy as np
 
 from roomfit.base.arguments import ARCHIVE_DAMAGE
 from roomfit.base.door import csv_rows, read_bytes, read_text, unpacked_limit_bytes
 from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".xlsx")
 """Endings under which tables are offered to be dropped; every other one is read as text."""
@@ -24,33 +27,68 @@ _MAIN = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 _MOST_COLUMNS = 16_384  # of a sheet of Excel
 
 
-def table_rows(path: Path, what: str) -> tuple[str, list[tuple[int, list[str]]]]:
+def table_rows(
+    path: Path, what: str, delimiter: str = ""
+) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return what stands between columns, and number and cells of each row that is not empty.
 
-    Rows that begin with # are left out. Semicolons decide, or else tabs, so that commas are those
-    of decimals. Of a workbook it is the first sheet, as if with tabs.
-
-    Parameters
-    ----------
-    path : Path
-        Ends with ``.xlsx`` for a workbook.
-    what : str
-        What the file is called in messages: "table of positions".
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no such table.
+    Rows that begin with # are left out. Where `delimiter` is "", semicolons decide, or else tabs,
+    so that commas are those of decimals. Of a workbook (``.xlsx``) it is the first sheet, as if
+    with tabs. `what` is what the file is called in messages: "table of positions".
     """
     if path.suffix.lower() == ".xlsx":
         delimiter, rows = "\t", _sheet_rows(read_bytes(path, what, most="text_bytes"), str(path))
     else:
         text = read_text(path, what)
         bare = re.sub(r"^#.*", "", text, flags=re.MULTILINE)
-        delimiter = next((d for d in ";\t" if d in bare), ",")
+        delimiter = delimiter or next((d for d in ";\t" if d in bare), ",")
         rows = csv_rows(text, str(path), delimiter)
     stripped = ((number, [cell.strip() for cell in cells]) for number, cells in rows)
     return delimiter, [(n, c) for n, c in stripped if any(c) and not c[0].startswith("#")]
+
+
+class Line(NamedTuple):
+    """One row below a heading."""
+
+    where: str  # file and line
+    heading: list[str]  # in small letters
+    cells: list[str]  # as many as the heading has, or more
+
+    def cell(self, *begins: str) -> str:
+        """Return the cell of the first column whose name begins so; "" where there is none."""
+        found = (
+            c for name, c in zip(self.heading, self.cells, strict=False) if name.startswith(begins)
+        )
+        return next(found, "")
+
+
+def table_lines(path: Path, what: str, names: Sequence[str], delimiter: str = "") -> list[Line]:
+    """Return the rows below a heading that has all of some columns, by patterns of their names.
+
+    Without names the first row is the heading. A later heading replaces it; rows above it are left
+    out. Commas of decimals are points where something else stands between columns.
+    """
+    delimiter, rows = table_rows(path, what, delimiter)
+    heading: list[str] | None = None
+    lines = []
+    for number, cells in rows:
+        words = [" ".join(cell.lower().split()) for cell in cells]
+        begins = all(any(re.fullmatch(name, word) for word in words) for name in names)
+        if begins and (names or heading is None):
+            heading = words
+        elif heading is not None:
+            filled = cells + [""] * (len(heading) - len(cells))
+            own = filled if delimiter == "," else [cell.replace(",", ".") for cell in filled]
+            lines.append(Line(f"{path}, line {number}", heading, own))
+    if not lines:
+        raise InputError(
+            f"a {what} {'without values' if heading else 'without a heading'}",
+            where=str(path),
+            found=f"{len(rows)} line{'' if len(rows) == 1 else 's'}",
+            needed=f"a line that names the columns {', '.join(names)}, and lines of values",
+            hint="write names above columns, and export all rows",
+        )
+    return lines
 
 
 def number_in(
@@ -65,6 +103,72 @@ def number_in(
         found = repr(cell.strip()[:40])
         raise InputError("not a number", where=where, found=found, needed=needed, hint=hint)
     return value
+
+
+class BandRow(NamedTuple):
+    """One row of a table whose columns are bands."""
+
+    where: str
+    names: tuple[str, ...]
+    values: FloatArray  # (n_bands,); nan: an empty cell
+    places: list[str]  # of each value, in messages
+
+
+def band_rows(
+    path: Path, what: str, names: Sequence[str], unit: str = ""
+) -> tuple[FloatArray, list[BandRow]]:
+    """Return centres in Hz, and rows, of a table with a column for each band.
+
+    `names` are of columns that name a row, without any the first one; `unit` may stand behind
+    values.
+    """
+    lines = table_lines(path, what, names)
+    heading = lines[0].heading
+    naming = [heading.index(name) for name in names] or [0]
+    centres = {
+        i: _centre_hz(name, f"{path}, column {i + 1} of the heading")
+        for i, name in enumerate(heading)
+        if name and i not in naming
+    }
+    if not centres or np.any(np.diff([0.0, *centres.values()]) <= 0.0):
+        raise InputError(
+            f"a {what} {'whose centres do not rise' if centres else 'without bands'}",
+            where=str(path),
+            found=", ".join(heading)[:80],
+            needed=f"{', '.join([*names, '125, 250'])}, ...: nominal centres in Hz, low to high",
+            hint="write the bands in rising order, each once",
+        )
+    rows = []
+    for where, _, cells in lines:
+        own = tuple(cells[i] for i in naming)
+        if any(cell for i, cell in enumerate(cells) if i not in (*naming, *centres)):
+            raise InputError(
+                f"a {what} has more values than bands",
+                where=where,
+                found=f"{len(cells) - len(naming)}",
+                needed=f"{len(centres)}, one for each centre",
+                hint="decimal commas make two cells of one number: write a point, or semicolons",
+            )
+        of = " ".join(filter(None, (own[-1], *own[:-1])))
+        places = [f"{where}, column {i + 1} ({of} at {hz:g} Hz)" for i, hz in centres.items()]
+        values = [
+            number_in(
+                re.sub(f"{unit}$", "", cells[i]).rstrip(), place, "a number, or an empty cell"
+            )
+            if cells[i]
+            else math.nan
+            for i, place in zip(centres, places, strict=True)
+        ]
+        rows.append(BandRow(where, own, np.array(values), places))
+    return np.array(list(centres.values())), rows
+
+
+def _centre_hz(name: str, where: str) -> float:
+    """Return a centre that is written as 500, 500 Hz or 1 kHz."""
+    number = name.removesuffix("hz").rstrip()
+    kilo = 1000.0 if number.endswith("k") else 1.0
+    needed, hint = "a centre as 500, 500 Hz or 1 kHz", "leave out columns that are no bands"
+    return kilo * number_in(number.removesuffix("k").replace(",", "."), where, needed, hint)
 
 
 def _sheet_rows(content: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
@@ -116,13 +220,7 @@ def _first_sheet(book: zipfile.ZipFile) -> str:
 
 
 def _column(reference: str, following: int) -> int:
-    """Return the number of a cell's column, from 0; the following one where it names none.
-
-    Examples
-    --------
-    >>> _column("A1", 5), _column("AB12", 0), _column("", 3)
-    (0, 27, 3)
-    """
+    """Return the number of a cell's column, from 0; the following one where it names none."""
     letters = re.match(r"[A-Z]*", reference)
     column = 0
     for letter in letters[0] if letters else "":

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.base.arguments import did_you_mean
-from roomfit.base.door import csv_rows, read_text
-from roomfit.base.errors import InputError
+from roomfit.base.arguments import check_known
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.polygon import Face, Surface, area_vector_m2
 from roomfit.files.rooms.model import PolygonSpec
+from roomfit.files.tables import Line, table_lines
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite, malformed
 
-_NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
+_NUMBER = r"number|n[or]\.?|plane( no\.?)?|corner no\."
+_CORNER = r"(?!corner no\.)corner.*|c ?[0-9]+"
 _AREA_DISAGREES = 0.02
 _SHOWN = 5
 
@@ -36,6 +36,28 @@ class Plane(NamedTuple):
     where: str  # file and line
 
 
+def _numbered(path: Path, kind: str, columns: tuple[str, ...]) -> dict[str, Line]:
+    """Return the rows of a table that have a number of their own, by it; others are notes."""
+    found: dict[str, Line] = {}
+    for line in table_lines(path, f"table of {kind}s", (_NUMBER, *columns), ","):
+        number = _as_number(line.cells[_column(line, _NUMBER)])
+        if kind == "plane":
+            is_one = len(_corners_of(line)) >= 3
+        else:
+            is_one = all(_is_finite(line.cells[line.heading.index(axis)]) for axis in "xyz")
+        if number in found or (number is None and is_one):
+            what = f"a {kind} without a number of its own"
+            hint = f"number the rows, each once; a {kind} is replaced by a later table alone"
+            given = ", ".join(line.cells)[:60]
+            raise malformed(what, line.where, given, "each number once", hint)
+        if number is not None:
+            found[number] = line
+    if not found:
+        what, hint = f"the table holds no {kind}s", f"export the sheet of {kind}s, with its rows"
+        raise malformed(what, str(path), "no row with a number", f"a row for each {kind}", hint)
+    return found
+
+
 def read_corners(path: Path) -> Corners:
     """Return the corners of one table by their number, in the table's unit.
 
@@ -44,14 +66,9 @@ def read_corners(path: Path) -> Corners:
     stands twice, and coordinates that are none.
     """
     corners: Corners = {}
-    for where, row, heading in _rows(path, ("x", "y", "z")):
-        cells = [row[heading.index(axis)] for axis in "xyz"]
-        number = _numbered(row, heading, where, corners, "corner", all(map(_is_finite, cells)))
-        if number is not None:
-            x, y, z = (finite(cell, where) for cell in cells)
-            corners[number] = (x, y, z)
-    if not corners:
-        raise _without("corners", path, "rows of number, x, y, z")
+    for number, line in _numbered(path, "corner", ("x", "y", "z")).items():
+        x, y, z = (finite(line.cells[line.heading.index(axis)], line.where) for axis in "xyz")
+        corners[number] = (x, y, z)
     return corners
 
 
@@ -66,97 +83,44 @@ def read_planes(path: Path) -> dict[str, Plane]:
     twice, and one with fewer than three corners.
     """
     planes: dict[str, Plane] = {}
-    for where, row, heading in _rows(path, ("corner",)):
-        corners = _corners_of(row, heading)
-        number = _numbered(row, heading, where, planes, "plane", len(corners) >= 3)
-        if number is None:
-            continue
+    for number, line in _numbered(path, "plane", (_CORNER,)).items():
+        corners = _corners_of(line)
         if len(corners) < 3:
             needed = "at least three corner numbers without a gap between them"
             hint = "name its corners in their order, or leave the row out"
             what, found = "a plane has fewer than three corners", f"plane {number}: {len(corners)}"
-            raise malformed(what, where, found, needed, hint)
-        sides = _cell(row, heading, ("sides",))
-        if sides is not None and _as_number(sides) not in ("1", "2"):
+            raise malformed(what, line.where, found, needed, hint)
+        sides, area = line.cell("sides"), line.cell("area")
+        if sides and _as_number(sides) not in ("1", "2"):
             hint = "2 where sound strikes both, as of a screen"
-            raise malformed("a plane has one side or two", where, sides, "1 or 2", hint)
-        is_sheet = _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
-        area = _cell(row, heading, ("area",))
-        material, name = (_cell(row, heading, w) for w in (("material",), ("name", "description")))
-        stated = float(area) if area and _is_finite(area) else None
-        planes[number] = Plane(number, corners, material, name, is_sheet, stated, where)
-    if not planes:
-        raise _without("planes", path, "rows of a number and three corners or more")
+            raise malformed("a plane has one side or two", line.where, sides, "1 or 2", hint)
+        is_sheet = _as_number(sides) == "2" or any("double" in c.lower() for c in line.cells)
+        planes[number] = Plane(
+            number,
+            corners,
+            line.cell("material") or None,
+            line.cell("name", "description") or None,
+            is_sheet,
+            float(area) if _is_finite(area) else None,
+            line.where,
+        )
     return planes
 
 
-def _without(kind: str, path: Path, needed: str) -> InputError:
-    hint = f"export the sheet of {kind}, with its rows"
-    return malformed(f"the table holds no {kind}", str(path), "a heading alone", needed, hint)
+def _column(line: Line, pattern: str) -> int:
+    return next(i for i, word in enumerate(line.heading) if re.fullmatch(pattern, word))
 
 
-def _numbered(
-    row: list[str], heading: list[str], where: str, known: Collection[str], kind: str, is_one: bool
-) -> str | None:
-    """Return the number of a row; None where it has none and is no corner or plane either."""
-    number = _as_number(row[_number_column(heading)])
-    if number is None and is_one:
-        what, needed = f"a {kind} without a number", "a number of its own in the column of numbers"
-        hint = "number the rows, each once"
-        raise malformed(what, where, ", ".join(row)[:60], needed, hint)
-    if number in known:
-        hint = f"number one of the two anew; a {kind} is replaced by a later table alone"
-        raise malformed(
-            f"a {kind} is given twice in one table", where, str(number), "each number once", hint
-        )
-    return number
-
-
-def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield place, cells and heading of each row below a heading; a later heading replaces it."""
-    heading: list[str] | None = None
-    for number, row in csv_rows(read_text(path, "room file"), str(path)):
-        cells = [cell.strip() for cell in row]
-        words = [" ".join(cell.lower().split()) for cell in cells]
-        if any(w in _NUMBER_WORDS for w in words) and all(
-            any(_is_corner(w) if n == "corner" else w == n for w in words) for n in needed
-        ):
-            heading = words
-        elif heading is not None and any(cells):
-            padded = cells + [""] * (len(heading) - len(cells))
-            yield f"{path}, line {number}", padded, heading
-    if heading is None:
-        what, hint = "the table has no heading that names its columns", "write them above"
-        wanted = f"a row with the words number, {', '.join(needed)}"
-        raise malformed(what, str(path), "no such row", wanted, hint)
-
-
-def _is_corner(word: str) -> bool:
-    """Whether a heading is that of corners: corner 1, corners, c1."""
-    return word.startswith("corner") or re.fullmatch(r"c ?[0-9]+", word) is not None
-
-
-def _number_column(heading: list[str]) -> int:
-    return next(i for i, word in enumerate(heading) if word in _NUMBER_WORDS)
-
-
-def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
+def _corners_of(line: Line) -> tuple[str, ...]:
     """Return the run of numbers from the first corner column up to the next other column."""
-    number_column = _number_column(heading)
-    first = next(i for i, w in enumerate(heading) if _is_corner(w) and i != number_column)
     corners: list[str] = []
-    for column in range(first, len(row)):
-        word = heading[column] if column < len(heading) else ""
-        number = _as_number(row[column])
+    for column in range(_column(line, _CORNER), len(line.cells)):
+        word = line.heading[column] if column < len(line.heading) else ""
+        number = _as_number(line.cells[column])
         if number is None or word.startswith(("material", "area", "name", "sides")):
             break
         corners.append(number)
     return tuple(corners)
-
-
-def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | None:
-    column = next((i for i, word in enumerate(heading) if word.startswith(starts)), None)
-    return (row[column] or None) if column is not None else None
 
 
 def _as_number(cell: str) -> str | None:
@@ -233,30 +197,23 @@ def _chosen_planes(tables: PolygonSpec, findings: list[Finding]) -> dict[str, Pl
     planes: dict[str, Plane] = {}
     for path in tables.planes:
         own = read_planes(path)
-        twice = [number for number in own if number in planes]
-        if twice:
+        if twice := [number for number in own if number in planes]:
             text = f"{len(twice)} planes of {path.name} replace earlier ones: {_some(twice)}."
             findings.append(Finding(Code.PLANES_REPLACED, About(), text, {"planes": twice}))
         planes.update(own)
-    chosen: dict[str, Iterable[str]] = {"drop": [str(number) for number in tables.drop]}
-    for key, numbers in {**chosen, "replace": tables.replace, "sides": tables.sides}.items():
+    dropped = [str(number) for number in tables.drop]
+    chosen: dict[str, Iterable[str]] = {"drop": dropped, "replace": tables.replace}
+    for key, numbers in {**chosen, "sides": tables.sides}.items():
         for number in numbers:
-            if number not in planes:
-                needed = "a number from the first column of the plane tables"
-                hint = did_you_mean(number, planes) or "write it as it is there"
-                where = f"polygons, {key}"
-                raise malformed("no plane has this number", where, number, needed, hint)
-    for number in (*chosen["drop"], *tables.replace):
+            what, where = "no plane has this number", f"polygons, {key}"
+            check_known(what, number, planes, where=where, else_try="write it as it is there")
+    for number in (*dropped, *tables.replace):
         planes.pop(number, None)
     for path in tables.replace.values():
         for plane in read_planes(path).values():
             if plane.number in planes:
-                hint, found = (
-                    "number it differently, or drop the other one",
-                    f"plane {plane.number}",
-                )
-                what = "a plane is there already"
-                raise malformed(what, plane.where, found, "each plane once", hint)
+                what, hint = "a plane is there already", "number it differently, or drop the other"
+                raise malformed(what, plane.where, plane.number, "each plane once", hint)
             planes[plane.number] = plane
     return planes
 
