@@ -194,7 +194,7 @@ def test_short_names_are_short_and_different(names):
     [
         ("{", "not JSON"),
         ("[]", "no result of roomfit"),
-        ('{"format": "roomfit-result", "format_version": 2}', "cannot read that result"),
+        ('{"format": "roomfit-result", "format_version": 2}', "not of this version"),
         ('{"format": "roomfit-result", "format_version": 1}', "incomplete"),
         (
             '{"format": "roomfit-result", "format_version": 1, "bands_hz": [125], "materials": '

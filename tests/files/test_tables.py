@@ -110,7 +110,10 @@ def refusal(call, *arguments) -> InputError:
 @pytest.mark.parametrize(
     ("read", "content", "what", "found", "needed"),
     [
-        (read_parameters, "source,receiver,parameter\nS,R,T30\n", "without bands", "par", "125, 250"),
+        (
+            read_parameters, "source,receiver,parameter\nS,R,T30\n",
+            "without bands", "parameter", "125, 250",
+        ),
         (read_parameters, ISO + ",R,T30,1,1\n", "without source", " to R", "source any"),
         (read_parameters, ISO + "S,R,T30,much,1\n", "not a number", "'much'", "a number, or an"),
         (read_parameters, ISO, "without values", "1 line", "lines of values"),

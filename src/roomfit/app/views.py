@@ -22,7 +22,7 @@ from roomfit.base.table import Table, html_of
 from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.draft import check_unit
-from roomfit.files.encoding import finding_content, number_or_null
+from roomfit.files.encoding import finding_content, numbers_or_null
 from roomfit.files.inputs import check_campaign
 from roomfit.files.remedies import advised
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
@@ -103,7 +103,7 @@ def room_view(folder: Path) -> dict[str, Any]:
         "findings": [*faults, *map(finding_content, check.findings)],
         "volume_m3": check.volume_m3,
         "surface_m2": check.surface_m2,
-        "mean_free_path_m": number_or_null(check.mean_free_path_m),
+        "mean_free_path_m": numbers_or_null(check.mean_free_path_m),
         "traceable": check.traceable,
     }
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit.base.door import files_read, json_content, read_bytes, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy, code_of
-from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import CONTENT_DIGEST, content_digest
 
 
@@ -73,14 +73,10 @@ def digest_findings(file: ResultFile, what: str, found: str, needed: object) -> 
     return (Finding(code, About(), text, {"found": found, "needed": needed}),)
 
 
-def numbers_or_null(values: FloatArray) -> list[float | None]:
-    """Return an array as a list, None for what is unknown."""
-    return [number_or_null(v) for v in values]
-
-
-def number_or_null(value: float) -> float | None:
-    """Return a number, None where it is unknown (not finite)."""
-    return float(value) if np.isfinite(value) else None
+def numbers_or_null(values: ArrayLike) -> Any:
+    """Return numbers as nested lists, or one number; None where it is unknown (not finite)."""
+    own = np.asarray(values, dtype=np.float64)
+    return np.where(np.isfinite(own), own.astype(object), None).tolist()
 
 
 def one_line(text: str) -> str:

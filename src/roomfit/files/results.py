@@ -19,7 +19,7 @@ import numpy as np
 
 from roomfit.base.arguments import bool_array, check_known, float_array, unique_names
 from roomfit.base.bands import Bands, bands_of
-from roomfit.base.door import complete, decoded, read_text
+from roomfit.base.door import complete, csv_rows, decoded, read_text
 from roomfit.base.errors import InputError, RoomfitError, StoreError, located
 from roomfit.base.findings import Finding
 from roomfit.base.logit import logit
@@ -31,13 +31,12 @@ from roomfit.files.encoding import (
     digest_findings,
     finding_content,
     finding_of,
-    number_or_null,
     numbers_or_null,
     path_of,
     provenance,
     written_content,
 )
-from roomfit.files.tables import number_in, table_lines
+from roomfit.files.tables import number_in
 from roomfit.materials.priors import object_absorption
 from roomfit.result import ComparedPair, Result, absorption_posterior, departures_jnd
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
@@ -59,7 +58,9 @@ RESULT_KEYS = {
     "findings": "code severity sentence about evidence remedies",
 }
 _WHOLE = "a result.json as roomfit writes it"
-_COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
+_INTERVAL = ("absorption", "lower95", "upper95")
+_COLUMNS = ("material", "band_hz", *_INTERVAL, "identifiable")
+_OBJECT = ("absorption_area_m2", "lower95_m2", "upper95_m2", "identifiable", "room_volume_m3")
 
 # Of report, tables and pictures of the demo, and of a pair's decay: 2.0 MB with eight pairs.
 _RESULT_BYTES, _PAIR_BYTES = 1.5e6, 2e5
@@ -101,23 +102,22 @@ class MaterialTable:
     findings: tuple[Finding, ...] = ()  # on the file
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "names", unique_names("material", self.names))
         shape = (len(self.names), len(self.bands))
-        for name in ("absorption", "lower95", "upper95", "scattering"):
-            value = getattr(self, name)
-            if value is not None:
-                values = float_array(name, value, shape, low=0.0, high=1.0)
-                object.__setattr__(self, name, values)
-        flags = bool_array("identifiable", self.identifiable, shape)
-        object.__setattr__(self, "identifiable", flags)
+        checked: dict[str, object] = {
+            name: float_array(name, value, shape, low=0.0, high=1.0)
+            for name in (*_INTERVAL, "scattering")
+            if (value := getattr(self, name)) is not None
+        }
+        checked["names"] = unique_names("material", self.names)
+        checked["identifiable"] = bool_array("identifiable", self.identifiable, shape)
+        for name, values in checked.items():
+            object.__setattr__(self, name, values)
 
 
 def material_table_of(result: Result) -> MaterialTable:
     """Return the materials of a result in memory."""
-    return MaterialTable(
-        result.materials, result.bands, result.absorption, result.lower95, result.upper95,
-        result.identifiable, result.scattering,
-    )  # fmt: skip
+    columns = {name: getattr(result, name) for name in (*_COLUMNS[2:], "scattering")}
+    return MaterialTable(result.materials, result.bands, **columns)
 
 
 def read_result(file: ResultFile) -> AbsorptionPosterior:
@@ -155,44 +155,46 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         _LOG.warning("%s: %s", doubt.severity, doubt.sentence)
     with located(str(path_of(file))), complete("result", _WHOLE):
         volumes_m3, (value, low, high) = _with_objects(table, content)
-        posterior, fit, pairs = (content.get(k, {}) for k in ("posterior", "fit", "pairs"))
+        posterior, fit = content.get("posterior", {}), content.get("fit", {})
         own: dict[str, Any] = {
-            name: np.array(posterior[name], dtype=np.float64)
-            for name in ("logit_covariance", *_OF_PRIOR, "prior_logit_covariance", "draws")
+            name: np.moveaxis(np.array(posterior[name], dtype=kind), 0, axis)
+            for name, (kind, axis) in _POSTERIOR.items()
             if name in posterior or (posterior and name == "logit_covariance")
         }
-        flags = posterior.get("prior_specified")
-        fitted = [pair for pair in pairs if pair["use"] == "fit"]
+        own.setdefault("logit_covariance", covariance_from_intervals(value, low, high))
+        fitted = [pair for pair in content.get("pairs", ()) if pair["use"] == "fit"]
         departures = [{k: c["jnd"] for k, c in p["parameters"].items()} for p in fitted]
         areas = [content.get("materials", {}).get(n, {}).get("area_m2") for n in table.names]
         scattering, of_objects = table.scattering, np.zeros((len(volumes_m3), len(table.bands)))
+        found = [finding_of(one, "findings") for one in content.get("findings", ())]
         return AbsorptionPosterior(
             (*table.names, *volumes_m3),
             table.bands,
             value,
             low,
             high,
-            own.pop("logit_covariance", covariance_from_intervals(value, low, high)),
-            **{name: own.pop(name).T for name in _OF_PRIOR if name in own},
             **own,
             scattering=None if scattering is None else np.concatenate((scattering, of_objects)),
             directivities=_directivities(content.get("directivity", {})),
             by_pressures=fit.get("by_pressures"),
             chi2_reduced=fit.get("phi"),
-            # None of a file that does not say which priors were specified
-            prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             fitted_jnd=departures_jnd(departures, table.bands) if fitted else None,
             areas_m2=None if None in areas else np.array([*areas, *(0.0,) * len(volumes_m3)]),
             fitted_states=tuple(sorted({str(p.get("state", "")) for p in fitted})) or None,
-            result_findings=(
-                *table.findings,
-                *(finding_of(one, "findings") for one in content.get("findings", ())),
-            ),
+            result_findings=(*table.findings, *found),
             objects=volumes_m3,
         )
 
 
-_OF_PRIOR = ("prior_logit_mean", "prior_logit_sd")  # bands first in the file
+# Arrays of a posterior that are read again: their kind, and where their first axis of the file is
+_POSTERIOR: dict[str, tuple[type, int]] = {
+    "logit_covariance": (np.float64, 0),
+    "prior_logit_mean": (np.float64, 1),
+    "prior_logit_sd": (np.float64, 1),
+    "prior_logit_covariance": (np.float64, 0),
+    "draws": (np.float64, 0),
+    "prior_specified": (np.bool_, 0),  # not stated in a file that does not say which were
+}
 
 
 def _with_objects(
@@ -202,8 +204,7 @@ def _with_objects(
     found = content.get("objects", {})
     volumes_m3 = {name: float(one["room_volume_m3"]) for name, one in found.items()}
     whole = []
-    for key in ("absorption", "lower95", "upper95"):
-        area = key.replace("absorption", "absorption_area") + "_m2"
+    for key, area in zip(_INTERVAL, _OBJECT, strict=False):
         shares = [
             object_absorption(np.array(one[area], dtype=np.float64), volumes_m3[name])
             for name, one in found.items()
@@ -228,7 +229,15 @@ def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding
     """Return the content of a ``result.json`` of this version, and what its digest says of it."""
     content, findings = written_content(file, "result")
     with located(str(path_of(file))), complete("result", _WHOLE):
-        _check_format(content)
+        own = content if isinstance(content, dict) else {}
+        stated = own.get("format"), own.get("format_version")
+        if stated != ("roomfit-result", 1):
+            raise InputError(
+                "this is no result of roomfit, or not of this version",
+                found=f"format {stated[0]!r}, format_version {stated[1]!r}",
+                needed='"format": "roomfit-result" and "format_version": 1 in the file',
+                hint="give a result.json that roomfit identify has written, or identify again",
+            )
         for name, known in RESULT_KEYS.items():
             part = content.get(name, {}) if name else content
             tables: dict[str, Any] = {name or "top level": part}
@@ -236,24 +245,11 @@ def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding
                 tables = {f"materials.{own}": table for own, table in part.items()}
             elif isinstance(part, list):
                 tables = {f"{name}[{i}]": table for i, table in enumerate(part, start=1)}
-            for where, table in tables.items():
-                for key in table:
-                    hint = "read it with the version of roomfit that `provenance` names"
-                    what = "unknown key in a file of roomfit"
-                    check_known(what, key, sorted(known.split()), where=where, else_try=hint)
+            for where, key in ((where, key) for where, table in tables.items() for key in table):
+                hint = "read it with the version of roomfit that `provenance` names"
+                what = "unknown key in a file of roomfit"
+                check_known(what, key, sorted(known.split()), where=where, else_try=hint)
     return content, findings
-
-
-def _check_format(content: Any) -> None:
-    if not isinstance(content, dict) or content.get("format") != "roomfit-result":
-        found = "another format" if isinstance(content, dict) else "no table"
-        needed = '"format": "roomfit-result" in the file'
-        hint = "give a result.json that roomfit identify has written"
-        raise InputError("this is no result of roomfit", found=found, needed=needed, hint=hint)
-    if (version := content.get("format_version")) != 1:
-        what, needed = "this version of roomfit cannot read that result", "format_version 1"
-        hint = "identify again, or export with the version of roomfit that wrote it"
-        raise InputError(what, found=f"format_version {version}", needed=needed, hint=hint)
 
 
 def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
@@ -263,7 +259,7 @@ def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
         text = read_text(path, "result")
         findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
         with located(str(path), hint="export the table again, or give the result.json beside it"):
-            return replace(_from_csv(path), findings=findings), {}
+            return replace(_from_csv(text), findings=findings), {}
     content, findings = read_result_content(file)
     needed = "bands_hz, and for each material absorption, lower95, upper95, identifiable"
     with located(str(path)), complete("result", needed):
@@ -292,21 +288,25 @@ def _digest_beside(path: Path) -> object:
     return None
 
 
-def _from_csv(path: Path) -> MaterialTable:
-    lines = table_lines(path, "table of absorption", _COLUMNS, ",")
+def _from_csv(text: str) -> MaterialTable:
+    # as `absorption_csv` writes it: every name counts, also one with blanks or a # before it
+    header, *lines = [cells for _, cells in csv_rows(text, "") if cells] or [[]]
     place: dict[tuple[str, float], tuple[float, ...]] = {}
     needed, hint = "a number with a decimal point", "fill the row up, or remove it"
-    for where, heading, cells in lines:
-        row = dict(zip(heading, cells, strict=False))
-        centre, *values = (
-            number_in(row[name], f"{where}, column {name}", needed, hint) for name in _COLUMNS[1:-1]
-        )
-        sure, what = row["identifiable"].lower(), "identifiable is neither true nor false"
-        check_known(what, sure, ("true", "false"), where=where, else_try=hint)
-        place[without_apostrophe(row["material"]), centre] = (*values, sure == "true")
+    with complete("table of absorption", ", ".join(_COLUMNS)):
+        for number, cells in enumerate(lines, start=2):
+            # a row that is too short has empty cells
+            row = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
+            centre, *values = (
+                number_in(row[name], f"line {number}, column {name}", needed, hint)
+                for name in _COLUMNS[1:-1]
+            )
+            sure, what = row["identifiable"].lower(), "identifiable is neither true nor false"
+            check_known(what, sure, ("true", "false"), where=f"line {number}", else_try=hint)
+            place[without_apostrophe(row["material"]), centre] = (*values, sure == "true")
     names = tuple(dict.fromkeys(name for name, _ in place))
     centres = sorted({centre for _, centre in place})
-    if len(place) != len(lines) or len(lines) != len(names) * len(centres):
+    if not place or len(place) != len(lines) or len(lines) != len(names) * len(centres):
         raise InputError(
             "the table of absorption is not complete",
             found=f"{len(lines)} rows, {len(names)} materials, {len(centres)} bands",
@@ -314,8 +314,7 @@ def _from_csv(path: Path) -> MaterialTable:
             hint="remove the rows given twice, and add what is missing",
         )
     found = np.array([[place[m, f] for f in centres] for m in names]).transpose(2, 0, 1)
-    table = dict(zip(_COLUMNS[2:], (*found[:3], found[3].astype(np.bool_)), strict=True))
-    return MaterialTable(names, bands_of(centres), **table)
+    return MaterialTable(names, bands_of(centres), *found[:3], found[3].astype(np.bool_))
 
 
 # Writing.
@@ -381,7 +380,10 @@ def result_content(
     ``posterior`` is the Gaussian of logit absorption in each band, where the answer has it.
     `roomfit.base.whole_files.json_text` turns it into text.
     """
-    content: dict[str, Any] = {
+    from roomfit.checks.verdict import what_remains
+
+    remains = what_remains(answer)
+    content = {
         "format": "roomfit-result",
         "format_version": 1,
         "bands_hz": answer.bands.centres_hz,
@@ -399,57 +401,58 @@ def result_content(
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
-    }
-    return _stated(content | _sometimes(answer, usable))
-
-
-def _sometimes(answer: Result, usable: Sequence[str]) -> dict[str, Any]:
-    """Return what some results have: states, terms of the uncertainty, what was fitted along."""
-    from roomfit.checks.verdict import what_remains
-
-    remains, geometry = what_remains(answer), answer.geometry
-    interval = ("mean_absorption", "lower95", "upper95")
-    content: dict[str, Any] = {}
-    if remains.voids:
-        content["usable"] = usable
-        content["remains"] = {
+        "usable": usable if remains.voids else None,
+        "remains": {
             "void": [code.value for code in remains.codes],
             "mean_usable": [bool(b) for b in remains.mean_usable],
             "decay_error": numbers_or_null(remains.decay_error),
             "decay_parameter": remains.decay_name or None,
             "void_but_identifiable_by_rule": remains.taken,
         }
-    if answer.state_means:
-        content["states"] = {
-            name: dict(zip(interval, mean, strict=True))
-            for name, mean in answer.state_means.items()
+        if remains.voids
+        else None,
+        "states": {
+            name: dict(zip(("mean_absorption", *_INTERVAL[1:]), mean, strict=True))
+            for name, mean in (answer.state_means or {}).items()
         }
-    # how well materials and the mean of the room were known without each term
-    if any(answer.costs):
-        content["sd_without"] = [
-            {name or "nothing": numbers_or_null(np.round(sd, 4)) for name, sd in band.items()}
-            for band in answer.costs
-        ]
-    if any(answer.mean_costs):
-        content["mean_sd_without"] = [
-            {name or "nothing": number_or_null(round(sd, 6)) for name, sd in band.items()}
-            for band in answer.mean_costs
-        ]
-    for d in answer.directivities:
-        for name, p in d.patterns().items():
-            shared = {} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker}
-            content.setdefault("directivity", {})[name] = {"b": d.b, "sd": d.sd, **shared}
-    if geometry is not None:  # shifts that arrival times need: no measurement of positions
-        content["geometry"] = {
-            "note": "fitted to arrival times; these absorb errors of the model, too",
-            "speed_of_sound_m_s": geometry.speed_of_sound_m_s,
-            "labels": geometry.labels,
-            "change": geometry.change,
-            "sd": geometry.sd,
-            "told_sd": geometry.prior_sd,
+        or None,
+        "sd_without": _without(answer.costs, 4),
+        "mean_sd_without": _without(answer.mean_costs, 6),
+        "directivity": {
+            name: {"b": d.b, "sd": d.sd}
+            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
+            for d in answer.directivities
+            for name, p in d.patterns().items()
         }
-    content["posterior"] = posterior_content(absorption_posterior(answer))
-    return content
+        or None,
+        "geometry": _geometry(answer),
+        "posterior": posterior_content(absorption_posterior(answer)),
+    }
+    return _stated(content)
+
+
+def _without(costs: Sequence[Mapping[str, Any]], decimals: int) -> list[dict[str, Any]] | None:
+    """How well absorption was known without each term of its uncertainty, by band."""
+    if not any(costs):
+        return None
+    return [
+        {name or "nothing": numbers_or_null(np.round(sd, decimals)) for name, sd in band.items()}
+        for band in costs
+    ]
+
+
+def _geometry(answer: Result) -> dict[str, Any] | None:
+    """Shifts that arrival times need: no measurement of positions."""
+    if (geometry := answer.geometry) is None:
+        return None
+    return {
+        "note": "fitted to arrival times; these absorb errors of the model, too",
+        "speed_of_sound_m_s": geometry.speed_of_sound_m_s,
+        "labels": geometry.labels,
+        "change": geometry.change,
+        "sd": geometry.sd,
+        "told_sd": geometry.prior_sd,
+    }
 
 
 _FIT = ("method", "model", "cost", "models", "evaluations", "converged", "seed", "reasons")
@@ -473,44 +476,33 @@ def posterior_content(own: AbsorptionPosterior) -> dict[str, Any]:
 
     Objects are among the materials.
     """
-    mean, sd, specified = own.prior_logit_mean, own.prior_logit_sd, own.prior_specified
-    # a share that objects absorb in a step is a hundred times smaller than that of a wall
-    decimals = 7 if own.objects else 5
-    content = {
-        "materials": own.materials,
-        "logit_mean": logit(own.absorption).T,
-        "logit_covariance": own.logit_covariance,
-        "prior_logit_mean": None if mean is None else mean.T,
-        "prior_logit_sd": None if sd is None else sd.T,
-        "prior_logit_covariance": own.prior_logit_covariance,
-        "draws": None if own.draws is None else np.round(own.draws, decimals),
-        "prior_specified": None if specified is None else [bool(b) for b in specified],
-    }
-    return _stated(content)
+    found = {name: getattr(own, name) for name in _POSTERIOR if getattr(own, name) is not None}
+    content = {name: np.moveaxis(a, _POSTERIOR[name][1], 0) for name, a in found.items()}
+    if own.draws is not None:
+        # a share that objects absorb in a step is a hundred times smaller than that of a wall
+        content["draws"] = np.round(own.draws, 7 if own.objects else 5)
+    return {"materials": own.materials, "logit_mean": logit(own.absorption).T, **content}
 
 
 def _objects(answer: Result) -> dict[str, Any] | None:
     """Return the equivalent absorption area of each object in m2, with its interval."""
     if (found := answer.objects) is None:
         return None
-    rows = zip(
-        found.names, found.area_m2, found.lower95_m2, found.upper95_m2, found.identifiable,
-        [round(v, 4) for v in found.volumes_m3.values()], strict=True,
-    )  # fmt: skip
-    keys = ("absorption_area_m2", "lower95_m2", "upper95_m2", "identifiable", "room_volume_m3")
-    return {name: dict(zip(keys, values, strict=True)) for name, *values in rows}
+    volumes_m3 = [round(v, 4) for v in found.volumes_m3.values()]
+    columns = (found.area_m2, found.lower95_m2, found.upper95_m2, found.identifiable, volumes_m3)
+    rows = zip(*columns, strict=True)
+    return {n: dict(zip(_OBJECT, r, strict=True)) for n, r in zip(found.names, rows, strict=True)}
 
 
 def _material(answer: Result, i: int) -> dict[str, Any]:
     """Absorption of a material, its share (air left out), its prior, and kinds of intervals."""
-    interval = _COLUMNS[2:5]
     content: dict[str, Any] = {name: getattr(answer, name)[i] for name in _COLUMNS[2:]}
     content["area_m2"] = round(float(answer.areas_m2[i]), 4)
     if answer.scattering is not None:
         content["scattering"] = answer.scattering[i]
     names = ("share", "share_lower95", "share_upper95")
     content |= zip(names, answer.shares[:, i], strict=True)
-    content["prior"] = dict(zip(interval, answer.prior[:, i], strict=True))
+    content["prior"] = dict(zip(_INTERVAL, answer.prior[:, i], strict=True))
     content["interval"] = [kinds[i] for kinds in answer.interval_kinds]
     return content
 
@@ -520,14 +512,9 @@ def _combinations(answer: Result) -> list[dict[str, Any]]:
 
     def entry(kind: str, c: Any) -> dict[str, Any]:
         named = zip(answer.materials, c.weights, strict=True)
-        return {
-            "kind": kind,
-            "weights": {name: round(float(w), 6) for name, w in named if w != 0.0},
-            "absorption": c.value,
-            "lower95": c.lower95,
-            "upper95": c.upper95,
-            "determined": c.determined,
-        }
+        weights = {name: round(float(w), 6) for name, w in named if w != 0.0}
+        numbers = {"absorption": c.value, "lower95": c.lower95, "upper95": c.upper95}
+        return {"kind": kind, "weights": weights, **numbers, "determined": c.determined}
 
     sentences = answer.sentences or ("",) * len(answer.combinations)
     bands = zip(answer.bands.centres_hz, answer.combinations, sentences, strict=True)
@@ -551,18 +538,15 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         curves = (pair.decay.measured_db, pair.decay.predicted_db)
         sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
     known = dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))
+    columns = {"measured": "measured", "predicted": "predicted", "jnd": "jnd"}
+    columns["mean_of_others"] = "null"
     content = {
         "source": pair.source,
         "receiver": pair.receiver,
         "use": pair.use,
         "state": pair.state or None,
         "parameters": {
-            name: {
-                "measured": numbers_or_null(c.measured),
-                "predicted": numbers_or_null(c.predicted),
-                "jnd": numbers_or_null(c.jnd),
-                "mean_of_others": numbers_or_null(c.null),
-            }
+            name: {key: numbers_or_null(getattr(c, own)) for key, own in columns.items()}
             for name, c in pair.parameters.items()
         },
         "sti": known if np.isfinite(sti).any() else None,

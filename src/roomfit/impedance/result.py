@@ -23,7 +23,7 @@ from roomfit.base.whole_files import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.files.encoding import finding_content, number_or_null, numbers_or_null, provenance
+from roomfit.files.encoding import finding_content, numbers_or_null, provenance
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence
 from roomfit.report.text import text
@@ -298,9 +298,9 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
             for i, (source, receiver) in enumerate(result.pairs)
         ],
         "fit": {
-            "chi2": number_or_null(result.chi2),
-            "model_error": number_or_null(result.model_error),
-            "condition": number_or_null(result.condition),
+            "chi2": numbers_or_null(result.chi2),
+            "model_error": numbers_or_null(result.model_error),
+            "condition": numbers_or_null(result.condition),
             "starts": result.n_starts,
             "agreeing_starts": result.agreeing_starts,
             "ending": result.ending,

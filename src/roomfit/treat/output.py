@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from roomfit.base.table import Column, Table, csv_of
 from roomfit.base.whole_files import write_json_atomically, write_text_atomically
-from roomfit.files.encoding import finding_content, number_or_null, provenance
+from roomfit.files.encoding import finding_content, numbers_or_null, provenance
 from roomfit.predict.output import one_number, parameters_content
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ def treatment_content(
         "targets": [
             {
                 "parameter": t.parameter,
-                "at_least": number_or_null(t.low),
-                "at_most": number_or_null(t.high),
+                "at_least": numbers_or_null(t.low),
+                "at_most": numbers_or_null(t.high),
                 "bands_hz": list(t.bands_hz),
                 "mean_of_bands": t.mean_of_bands,
                 "source": t.source,
