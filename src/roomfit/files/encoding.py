@@ -76,7 +76,9 @@ def digest_findings(file: ResultFile, what: str, found: str, needed: object) -> 
 def numbers_or_null(values: ArrayLike) -> Any:
     """Return numbers as nested lists, or one number; None where it is unknown (not finite)."""
     own = np.asarray(values, dtype=np.float64)
-    return np.where(np.isfinite(own), own.astype(object), None).tolist()
+    found = own.astype(object)
+    found[~np.isfinite(own)] = None
+    return found.tolist() if own.ndim else found[()]
 
 
 def one_line(text: str) -> str:

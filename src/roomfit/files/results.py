@@ -301,9 +301,9 @@ def _from_csv(text: str) -> MaterialTable:
                 number_in(row[name], f"line {number}, column {name}", needed, hint)
                 for name in _COLUMNS[1:-1]
             )
-            sure, what = row["identifiable"].lower(), "identifiable is neither true nor false"
-            check_known(what, sure, ("true", "false"), where=f"line {number}", else_try=hint)
-            place[without_apostrophe(row["material"]), centre] = (*values, sure == "true")
+            flag, what = row["identifiable"].lower(), "identifiable is neither true nor false"
+            check_known(what, flag, ("true", "false"), where=f"line {number}", else_try=hint)
+            place[without_apostrophe(row["material"]), centre] = (*values, flag == "true")
     names = tuple(dict.fromkeys(name for name, _ in place))
     centres = sorted({centre for _, centre in place})
     if not place or len(place) != len(lines) or len(lines) != len(names) * len(centres):
@@ -314,7 +314,8 @@ def _from_csv(text: str) -> MaterialTable:
             hint="remove the rows given twice, and add what is missing",
         )
     found = np.array([[place[m, f] for f in centres] for m in names]).transpose(2, 0, 1)
-    return MaterialTable(names, bands_of(centres), *found[:3], found[3].astype(np.bool_))
+    value, low, high, sure = found
+    return MaterialTable(names, bands_of(centres), value, low, high, sure.astype(np.bool_))
 
 
 # Writing.
