@@ -20,7 +20,7 @@ from roomfit.files.responses.sweep import (
     response_name,
     wav_bytes,
 )
-from roomfit.files.sound_card import SoundCard, devices_text, sounddevice
+from roomfit.files.sound_card import SoundCard, sounddevice
 
 
 def measure(
@@ -39,7 +39,7 @@ def measure(
 ) -> tuple[str, int]:
     """Measure a pair by the sound devices of this machine, or name these."""
     if list:
-        return devices_text(sounddevice()), 0
+        return str(sounddevice().query_devices()) or "there is no sound device", 0
     if folder is None or source is None or receiver is None:
         what, found = "a measurement needs a folder and two names", shlex.join(sys.argv[1:])
         needed = "roomfit measure FOLDER --source S1 --receiver R1"

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.arguments import check_known
 from roomfit.base.door import complete
 from roomfit.base.errors import InputError, located
 from roomfit.base.logit import Z95, logit
 from roomfit.base.table import Column, Table, Value
-from roomfit.base.typing import FloatArray, IntArray
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.results import read_result_content, result_content
 from roomfit.result import Result
@@ -70,18 +70,9 @@ def uncertainty_budget(
 ) -> tuple[Budget, ...]:
     """Return the uncertainty budget of every material and of the room's mean absorption.
 
-    Parameters
-    ----------
-    result : Result, Path or EditedFile
-        An identification in memory, or its ``result.json``.
-    bands_hz : sequence of float, optional
-        Nominal centres; left out, 500 and 1000 Hz where they were fitted, else all bands.
-
-    Returns
-    -------
-    tuple of Budget
-        Band by band, materials in the order of the result, the mean last. Left out: a material of
-        which nothing is known, and bands without responses.
+    Band by band, materials in the order of the result, the mean last; where no bands are named, of
+    500 and 1000 Hz if these were fitted, else of all. Left out: a material of which nothing is
+    known, and bands without responses.
 
     Notes
     -----
@@ -98,14 +89,13 @@ def uncertainty_budget(
     .. [1] JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 5.1, 7.2, 8.
     """
     if isinstance(result, Result):
-        return budgets(result_content(result, ()), bands_hz)
+        return _budgets(result_content(result, ()), bands_hz)
     content, _ = read_result_content(result)
     with located(str(path_of(result))), complete("result", "a result.json as roomfit writes it"):
-        return budgets(content, bands_hz)
+        return _budgets(content, bands_hz)
 
 
-def budgets(content: Mapping[str, Any], bands_hz: Sequence[float] = ()) -> tuple[Budget, ...]:
-    """Return `uncertainty_budget` of the content of a ``result.json``."""
+def _budgets(content: Mapping[str, Any], bands_hz: Sequence[float]) -> tuple[Budget, ...]:
     if "sd_without" not in content:
         raise InputError(
             "the result does not state what its uncertainty is made of",
@@ -113,51 +103,33 @@ def budgets(content: Mapping[str, Any], bands_hz: Sequence[float] = ()) -> tuple
             needed="a result from impulse responses, by this version of roomfit",
             hint="identify again; decay times alone have no budget",
         )
+    centres_hz = [float(f) for f in content["bands_hz"]]
+    for band_hz in bands_hz:
+        what, known = "a band of the budget was not fitted", [f"{f:g}" for f in centres_hz]
+        check_known(what, f"{band_hz:g}", known, else_try="name fitted bands, or none")
+    usual = [f for f in centres_hz if f in (bands_hz or (500.0, 1000.0))] or centres_hz
     found = []
-    for band in _chosen(np.array(content["bands_hz"], dtype=np.float64), bands_hz):
+    for band, centre_hz in ((centres_hz.index(f), f) for f in usual):
         terms = content["sd_without"][band]
-        centre_hz = float(content["bands_hz"][band])
         for i, (name, material) in enumerate(content["materials"].items() if terms else ()):
             interval = [float(material[key][band]) for key in _INTERVAL]
             if interval[1:] != [0.0, 1.0]:
+                low, high = logit(np.array(interval[1:]))
+                sd = float(high - low) / (2.0 * Z95)
+                if "posterior" in content:
+                    sd = float(np.sqrt(content["posterior"]["logit_covariance"][band][i][i]))
                 own = {term: sds[i] for term, sds in terms.items()}
-                sd = _logit_sd(content, band, i, interval)
                 found.append(_budget(name, centre_hz, interval, own, sd))
         of_mean = content.get("mean_sd_without", {band: {}})[band]
         mean = next((c for c in content["combinations"] if c["band_hz"] == centre_hz), None)
         if of_mean and mean is not None:
             interval = [float(mean[key]) for key in _INTERVAL]
-            half = 0.5 * (interval[2] - interval[1])
-            found.append(_budget(MEAN, centre_hz, interval, of_mean, half / Z95))
+            sd = 0.5 * (interval[2] - interval[1]) / Z95
+            found.append(_budget(MEAN, centre_hz, interval, of_mean, sd))
     return tuple(found)
 
 
 _INTERVAL = ("absorption", "lower95", "upper95")
-
-
-def _chosen(centres_hz: FloatArray, bands_hz: Sequence[float]) -> IntArray:
-    """Return which bands are asked for, 500 and 1000 Hz or else all where none is named."""
-    unknown = set(bands_hz) - set(centres_hz.tolist())
-    if unknown:
-        raise InputError(
-            "a band of the budget was not fitted",
-            found=", ".join(f"{f:g}" for f in sorted(unknown)),
-            needed=", ".join(f"{f:g}" for f in centres_hz),
-            hint="name fitted bands, or leave bands_hz out",
-        )
-    wanted = np.isin(centres_hz, bands_hz or (500.0, 1000.0))
-    return np.flatnonzero(wanted if wanted.any() else np.ones_like(wanted))
-
-
-def _logit_sd(
-    content: Mapping[str, Any], band: int, material: int, interval: Sequence[float]
-) -> float:
-    """Return the standard deviation of a logit absorption, by its interval without a posterior."""
-    if "posterior" in content:
-        variance = content["posterior"]["logit_covariance"][band][material][material]
-        return float(np.sqrt(variance))
-    low, high = logit(np.array(interval[1:]))
-    return float(high - low) / (2.0 * Z95)
 
 
 def _budget(
@@ -167,16 +139,10 @@ def _budget(
     sd_without: Mapping[str, float | None],
     sd: float,
 ) -> Budget:
-    """Return one budget.
+    """Return one budget of an absorption with its bounds.
 
-    Parameters
-    ----------
-    interval : sequence of float
-        Absorption and its bounds.
-    sd_without : mapping from term to float or None
-        Of the absorption or its logit; "nothing": with all terms. None: infinite.
-    sd : float
-        Of the same as reported, all that came after the fit included.
+    `sd_without` is of the absorption or its logit ("nothing": with all terms; None: infinite), and
+    `sd` of the same as reported, all that came after the fit included.
     """
     value, lower95, upper95 = interval
     standard = (upper95 - lower95) / (2.0 * Z95)
@@ -185,12 +151,9 @@ def _budget(
     scale = standard / sd if sd > 0.0 else 0.0
     variances = {name: scale**2 * (whole**2 - x**2) for name, x in known.items()}
     after = scale**2 * (sd**2 - whole**2)
-    remainder = standard**2 - sum(variances.values()) - after
-    return Budget(
-        quantity, band_hz, value, lower95, upper95, standard,
-        variances | {AFTER: after, REMAINDER: remainder},
-        float(np.sqrt((scale * prior) ** 2 + max(after, 0.0))) if scale > 0.0 else 0.0,
-    )  # fmt: skip
+    variances |= {AFTER: after, REMAINDER: standard**2 - sum(variances.values()) - after}
+    without = float(np.sqrt((scale * prior) ** 2 + max(after, 0.0))) if scale > 0.0 else 0.0
+    return Budget(quantity, band_hz, value, lower95, upper95, standard, variances, without)
 
 
 def contribution(variance: float) -> float:

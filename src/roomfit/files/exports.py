@@ -1,9 +1,8 @@
 """Materials of a result as files of other programs.
 
-A table of absorption is read from a result, resampled to the bands of the other program, given
-names that it accepts, and written: for CATT-Acoustic and I-Simpa (which reads the same lines
-without the first word), ODEON (a material library, .Li8),
-pyroomacoustics (its arguments as JSON), or as a wide CSV.
+A table of absorption is resampled to the bands of the other program, given names that it accepts,
+and written: for CATT-Acoustic and I-Simpa (which reads the same lines without the first word),
+ODEON (a material library, .Li8), pyroomacoustics (its arguments as JSON), or as a wide CSV.
 """
 
 from __future__ import annotations
@@ -12,12 +11,13 @@ import colorsys
 import json
 import re
 import unicodedata
+from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from roomfit.base.arguments import check_known, check_range
-from roomfit.base.bands import Bands
+from roomfit.base.bands import Bands, bands_between
 from roomfit.base.door import complete
 from roomfit.base.errors import located
 from roomfit.base.findings import About, Code, Finding
@@ -27,9 +27,15 @@ from roomfit.files.encoding import ResultFile, one_line, path_of
 from roomfit.files.results import MaterialTable, read_materials
 from roomfit.result import absorption_records
 
-CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
-ISIMPA_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3]))
-LONGEST_NAME = 15
+ExportFormat = Literal["catt", "odeon", "isimpa", "pyroomacoustics", "csv"]
+FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
+_BANDS = {
+    "catt": bands_between("octave", 125.0, 16e3),
+    "isimpa": bands_between("octave", 125.0, 4e3),
+    "odeon": bands_between("octave", 63.0, 8e3),
+}
+_LONGEST_NAME = 15
+_FIRST_NUMBER = 50001  # of a material in a library of ODEON
 
 
 def catt_text(
@@ -55,16 +61,11 @@ def catt_text(
     return "\r\n".join(lines) + "\r\n"
 
 
-def isimpa_text(names: dict[str, str], absorption: FloatArray, scattering: FloatArray) -> str:
-    """Return the material lines that I-Simpa imports as "CATT-Acoustic" (.txt).
+def _isimpa_text(names: dict[str, str], absorption: FloatArray, scattering: FloatArray) -> str:
+    """Return the material lines that I-Simpa imports as "CATT-Acoustic" (.txt), without comments.
 
-    Six octaves from 125 Hz in percent without decimals, as in the example of its manual [1]_;
-    I-Simpa itself gives each value to three third octaves and extrapolates the outer ones.
-    The lines have no comments: its manual shows none.
-
-    References
-    ----------
-    .. [1] I-Simpa documentation, "Project database", materials, import from a file.
+    Six octaves from 125 Hz in percent without decimals, as in the example of its documentation
+    ("Project database", materials, import from a file).
     """
     lines = [
         f"{short} = < {_percent(absorption[i], 1)} > L < {_percent(scattering[i], 0)} >"
@@ -87,54 +88,34 @@ def short_names(names: tuple[str, ...]) -> dict[str, str]:
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         word = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_") or "material"
         word = word if word[0].isalpha() else f"m_{word}"
-        candidate, number = word[:LONGEST_NAME], 1
+        candidate, number = word[:_LONGEST_NAME], 1
         while candidate.lower() in (g.lower() for g in given.values()):
             number += 1
-            candidate = f"{word[: LONGEST_NAME - len(str(number)) - 1]}_{number}"
+            candidate = f"{word[: _LONGEST_NAME - len(str(number)) - 1]}_{number}"
         given[name] = candidate
     return given
 
 
-ODEON_BANDS = Bands("octave", np.array([63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3]))
-FIRST_NUMBER = 50001
-
-
-def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
+def _odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     """Return two lines a material: number and name; then eight octaves from 63 Hz.
 
     The second line begins with a tabulator, and tabulators separate its values: a program that
-    reads ODEON's own library distinguishes the two by it [1]_. The library has no scattering:
-    ODEON expects it for each surface, in its list of materials.
-
-    References
-    ----------
-    .. [1] R. Gueguen, Just4RIR (2018), ``physic.cpp``.
+    reads ODEON's own library distinguishes the two by it (R. Gueguen, Just4RIR, 2018).
     """
     lines = []
     for i, name in enumerate(names):
-        lines.append(f"{FIRST_NUMBER + i} {one_line(name)}")
+        lines.append(f"{_FIRST_NUMBER + i} {one_line(name)}")
         lines.append("".join(f"\t{v:.5f}" for v in absorption[i]))
     return "\r\n".join(lines) + "\r\n"
 
 
 def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArray, BoolArray]:
-    """Return values in other bands, and which of them were not fitted.
+    """Return values, shape (n_materials, n_wanted), and which of these bands were not fitted.
 
     A band that is there is taken as it is; an octave from third octaves is their mean; a third
     octave within the range of the octaves is interpolated linearly in the logarithm of frequency.
     Beyond the lowest and the highest band the nearest value is repeated, and gaps between bands
     are interpolated: those are the ones that were not fitted.
-
-    Parameters
-    ----------
-    values : float array, shape (n_materials, n_bands)
-    bands, wanted : Bands
-
-    Returns
-    -------
-    resampled : float array, shape (n_materials, n_wanted)
-    filled : bool array, shape (n_wanted,)
-        True where no fitted band covers the wanted one.
     """
     at, known = np.log2(wanted.exact_centres_hz), np.log2(bands.exact_centres_hz)
     resampled = np.array([np.interp(at, known, row) for row in values])
@@ -149,39 +130,38 @@ def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArra
     return resampled, filled
 
 
-def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
-    """Return JSON that maps each material to the arguments of ``pyroomacoustics.Material``.
-
-    ``pra.Material(**json.load(open(file))["brick"])``: ``energy_absorption`` and ``scattering``,
-    each with ``coeffs`` and ``center_freqs`` in the bands of the result.
-    """
+def _pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
+    """Return JSON that maps each material to the arguments of ``pyroomacoustics.Material``."""
     centres = table.bands.centres_hz.tolist()
-
-    def spectrum(name: str, values: FloatArray) -> dict[str, Any]:
-        own = [round(float(v), 5) for v in values]
-        return {"description": name, "coeffs": own, "center_freqs": centres}
-
+    spectra = {"energy_absorption": table.absorption, "scattering": scattering}
     content = {
-        name: {"energy_absorption": spectrum(name, a), "scattering": spectrum(name, s)}
-        for name, a, s in zip(table.names, table.absorption, scattering, strict=True)
+        name: {
+            key: {
+                "description": name,
+                "coeffs": [round(float(v), 5) for v in values[i]],
+                "center_freqs": centres,
+            }
+            for key, values in spectra.items()
+        }
+        for i, name in enumerate(table.names)
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def wide_csv_text(table: MaterialTable) -> str:
+def _wide_csv_text(table: MaterialTable) -> str:
     """Return a table with one column a band: absorption, intervals, identifiability."""
-    quantities = {
-        **{name: getattr(table, name) for name in ("absorption", "lower95", "upper95")},
-        **({} if table.scattering is None else {"scattering": table.scattering}),
-        "identifiable": table.identifiable,
-    }
+    quantities = ("absorption", "lower95", "upper95", "scattering", "identifiable")
     rows = [
-        (material, quantity, *values[i].tolist())
+        (material, quantity, *getattr(table, quantity)[i].tolist())
         for i, material in enumerate(table.names)
-        for quantity, values in quantities.items()
+        for quantity in quantities
+        if getattr(table, quantity) is not None
     ]
-    bands = (f"{f:g}" for f in table.bands.centres_hz)
-    return csv_of(Table("", ("material", "quantity", *bands), rows, form=".5f"))
+    return csv_of(Table("", ("material", "quantity", *_heads(table.bands)), rows, form=".5f"))
+
+
+def _heads(bands: Bands) -> list[str]:
+    return [f"{f:g}" for f in bands.centres_hz]
 
 
 _COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
@@ -196,11 +176,10 @@ def workbook_bytes(file: ResultFile) -> bytes:
     """
     table, content = read_materials(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])
-    heads = ("material", *(f"{f:g}" for f in table.bands.centres_hz))
     by_band = [(n, *a) for n, a in zip(table.names, table.absorption.tolist(), strict=True)]
     sheets = {
         "absorption": absorption_records(table.names, table.bands, values, table.identifiable),
-        "absorption by band": Table("", heads, by_band),
+        "absorption by band": Table("", ("material", *_heads(table.bands)), by_band),
     }
     if content:
         with located(str(path_of(file))), complete("result", "as roomfit writes it"):
@@ -232,11 +211,6 @@ def _further_tables(content: dict[str, Any]) -> dict[str, Table]:
     }
 
 
-ExportFormat = Literal["catt", "odeon", "isimpa", "pyroomacoustics", "csv"]
-FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
-_BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS}
-
-
 def export_materials(
     table: MaterialTable, wanted: str, scattering: float
 ) -> tuple[str, tuple[Finding, ...]]:
@@ -250,63 +224,61 @@ def export_materials(
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified
-    findings = [*_not_identifiable(table)]
+    findings = _not_identifiable(table)
     if specified is None and wanted not in ("csv", "odeon"):
         text = f"The result has no scattering; {scattering:g} was written for every material."
-        evidence: dict[str, object] = {"scattering": scattering}
-        findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, About(), text, evidence))
+        known = {"scattering": scattering}
+        findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, About(), text, known))
     if wanted == "pyroomacoustics":
-        return pyroomacoustics_text(table, scatter), tuple(findings)
+        return _pyroomacoustics_text(table, scatter), tuple(findings)
     if wanted == "csv":
-        return wide_csv_text(table), tuple(findings)
+        return _wide_csv_text(table), tuple(findings)
     bands = _BANDS[wanted]
     absorption, filled = resample(table.absorption, table.bands, bands)
     scatter, _ = resample(scatter, table.bands, bands)
     if np.any(filled):
-        listed = ", ".join(f"{f:g}" for f in bands.centres_hz[filled])
         text = (
-            f"Nothing was fitted at {listed} Hz: the nearest band's value is used there, or one "
-            "between two neighbours."
+            f"Nothing was fitted at {', '.join(np.array(_heads(bands))[filled])} Hz: the nearest "
+            "band's value is used there, or one between two neighbours."
         )
-        evidence = {"bands_hz": bands.centres_hz[filled].tolist()}
-        about = About(bands_hz=bands.centres_hz[filled].tolist())
-        findings.append(Finding(Code.EXPORT_BANDS_FILLED, about, text, evidence))
+        at_hz = bands.centres_hz[filled].tolist()
+        about = About(bands_hz=at_hz)
+        findings.append(Finding(Code.EXPORT_BANDS_FILLED, about, text, {"bands_hz": at_hz}))
     if wanted == "odeon":
-        last = FIRST_NUMBER + len(table.names) - 1
+        numbers = {"first": _FIRST_NUMBER, "last": _FIRST_NUMBER + len(table.names) - 1}
         text = (
-            f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library has no "
-            "scattering: enter it in the list of materials."
+            f"The materials have the numbers {numbers['first']} to {numbers['last']}. ODEON's "
+            "library has no scattering: enter it in the list of materials."
         )
-        evidence = {"first": FIRST_NUMBER, "last": last}
-        findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, About(), text, evidence))
-        return odeon_text(table.names, absorption), tuple(findings)
+        findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, About(), text, numbers))
+        return _odeon_text(table.names, absorption), tuple(findings)
     names = short_names(table.names)
-    changed = {name: short for name, short in names.items() if name != short}
-    if changed:
+    if changed := {name: short for name, short in names.items() if name != short}:
         listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
         text = f"The other program cannot take every name; it is {listed}."
         about = About(materials=list(changed))
         findings.append(Finding(Code.EXPORT_NAMES_CHANGED, about, text, {"names": changed}))
-    if wanted == "catt":
-        head = "absorption in percent, fitted by roomfit; exact values behind each line"
-        remarks = [head, *(f.sentence for f in findings)]
-        return catt_text(names, absorption, scatter, remarks), tuple(findings)
-    return isimpa_text(names, absorption, scatter), tuple(findings)
+    if wanted == "isimpa":
+        return _isimpa_text(names, absorption, scatter), tuple(findings)
+    head = "absorption in percent, fitted by roomfit; exact values behind each line"
+    remarks = [head, *(f.sentence for f in findings)]
+    return catt_text(names, absorption, scatter, remarks), tuple(findings)
 
 
 def _not_identifiable(table: MaterialTable) -> list[Finding]:
-    doubtful, listed = {}, []
-    for name, sure in zip(table.names, table.identifiable, strict=True):
-        if not sure.all():
-            doubtful[name] = table.bands.centres_hz[~sure].tolist()
-            at = f"at {', '.join(f'{f:g}' for f in doubtful[name])} Hz"
-            listed.append(f"{name} {at if sure.any() else 'in any band'}")
+    rows = zip(table.names, table.identifiable, strict=True)
+    doubtful = {n: table.bands.centres_hz[~sure].tolist() for n, sure in rows if not sure.all()}
     if not doubtful:
         return []
-    entries = [(name, f) for name, bands in doubtful.items() for f in bands]
+
+    def listed(name: str, bands_hz: Sequence[float]) -> str:
+        at = f"at {', '.join(f'{f:g}' for f in bands_hz)} Hz"
+        return f"{name} {at if len(bands_hz) < len(table.bands) else 'in any band'}"
+
     text = (
-        f"The measurement does not determine {'; '.join(listed)}; the exported values there are "
-        "not to be trusted one by one."
+        f"The measurement does not determine {'; '.join(map(listed, doubtful, doubtful.values()))};"
+        " the exported values there are not to be trusted one by one."
     )
+    entries = [(name, f) for name, bands_hz in doubtful.items() for f in bands_hz]
     about = About(materials=list(doubtful), entries=entries)
     return [Finding(Code.EXPORT_NOT_IDENTIFIABLE, about, text, {"materials": doubtful})]

@@ -13,7 +13,7 @@ from roomfit.base.typing import FloatArray
 
 
 def sounddevice() -> Any:
-    """Return the module sounddevice, which loads PortAudio."""
+    """Return the module sounddevice, which loads PortAudio; wheels for Linux do not bring it."""
     try:
         return importlib.import_module("sounddevice")
     except (ModuleNotFoundError, OSError) as error:
@@ -38,15 +38,10 @@ class SoundCard:
     def __call__(self, played: FloatArray, rate_hz: float) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the recording, shape (n_samples,), full scale 1, and faults that were reported."""
         both = (self.device, self.device if self.output is None else self.output)
+        how: dict[str, Any] = {"samplerate": rate_hz, "channels": 1, "dtype": "float32"}
         try:
-            recorded = self.backend.playrec(
-                played.astype(np.float32)[:, None],
-                samplerate=rate_hz,
-                channels=1,
-                dtype="float32",
-                device=both,
-                blocking=True,
-            )
+            samples = played.astype(np.float32)[:, None]
+            recorded = self.backend.playrec(samples, device=both, blocking=True, **how)
             status = self.backend.get_status()
         except (self.backend.PortAudioError, ValueError) as error:
             raise InputError(
@@ -58,8 +53,3 @@ class SoundCard:
             ) from error
         faults = (f"the sound device reports {status}: close other programs",) if status else ()
         return np.asarray(recorded, dtype=np.float64).reshape(-1), faults
-
-
-def devices_text(backend: Any) -> str:
-    """Return the devices of this machine, one a line, with number, name and channels."""
-    return str(backend.query_devices()) or "there is no sound device"
