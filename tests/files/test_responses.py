@@ -130,7 +130,7 @@ def test_a_truncated_wav_is_refused_though_other_readers_take_it(tmp_path):
     assert len(soundfile.read(cut)[0]) == 3500  # passes there without a word
     with pytest.raises(InputError, match="cut off") as caught:
         read_response(ResponseSpec(cut))
-    assert "8000 bytes, by its own header" in str(caught.value)
+    assert "8000, by its own header" in str(caught.value)
 
 
 def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_path):
@@ -235,7 +235,7 @@ def test_a_single_response_may_stand_in_a_row_of_a_mat_file(tmp_path):
 
 def test_what_a_mat_file_leaves_open_is_asked_for_by_name(tmp_path):
     path = write_mat(tmp_path / "a.mat", RIR=np.stack([decay(), decay()], 1), Fs=48_000, note="hi")
-    with pytest.raises(InputError, match=r"which variable.*\n.*\n.*RIR \(4000, 2\)"):
+    with pytest.raises(InputError, match=r"which variable.*\n.*\n.*\n.*RIR \(4000, 2\)"):
         read_response(ResponseSpec(path, sampling_rate_hz=48_000.0))
     with pytest.raises(InputError, match="did you mean 'RIR'"):
         read_response(ResponseSpec(path, variable="RIRs", sampling_rate_hz=48_000.0))
@@ -243,9 +243,9 @@ def test_what_a_mat_file_leaves_open_is_asked_for_by_name(tmp_path):
         read_response(ResponseSpec(path, variable="RIR", sampling_rate_hz=48_000.0))
     with pytest.raises(InputError, match="single numbers in the file: Fs"):
         read_response(ResponseSpec(path, variable="RIR", channel=0))
-    with pytest.raises(InputError, match="no such sampling rate"):
-        read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_variable="note"))
-    with pytest.raises(InputError, match="holds no responses"):
+    with pytest.raises(InputError, match="no such variable"):
+        read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_variable="nota"))
+    with pytest.raises(InputError, match="holds no array"):
         read_response(ResponseSpec(path, variable="note", channel=0, sampling_rate_hz=48_000.0))
 
 
@@ -315,7 +315,7 @@ def test_what_a_mat_file_of_version_7_3_holds_besides_numbers_is_refused_by_its_
         "sparse": "a sparse array",
     }
     for name, kind in kinds.items():
-        with pytest.raises(InputError, match=f"(?s)holds no responses.*{kind}"):
+        with pytest.raises(InputError, match=f"(?s)holds no array.*{kind}"):
             read_response(ResponseSpec(path, variable=name, channel=0, sampling_rate_hz=8000.0))
     for name in ("#refs#", "elsewhere"):
         with pytest.raises(InputError, match="no such variable") as caught:

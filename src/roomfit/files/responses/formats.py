@@ -36,35 +36,9 @@ _UNKNOWN_LENGTH = 0xFFFFFFFF
 def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the column of a variable of a MAT file that is asked for."""
     variables = _variables(content)
-    name, listed = spec.variable, _listed(variables)
-    if name is None:
-        hint = (
-            f"variable = {next(iter(variables))!r}" if variables else "save the responses into it"
-        )
-        what, needed = "which variable of the MAT file holds the responses?", "variable = a name"
-        raise InputError(what, found=listed, needed=needed, hint=hint)
-    if name not in variables:
-        what, needed = "the MAT file has no such variable", f"one of {listed}"
-        hint = did_you_mean(name, variables) or "write variable = as the file has it"
-        raise InputError(what, found=f"variable = {name!r}", needed=needed, hint=hint)
-    values = variables[name]
-    if isinstance(values, str) or values.ndim != 2 or values.size == 0:
-        is_nested = isinstance(values, str) and values in ("a structure", "a cell array")
-        what = "the variable of the MAT file holds no responses"
-        needed = "an array of real numbers, one response a column"
-        hint = "in MATLAB, save what lies in it as a variable of its own" if is_nested else ""
-        raise InputError(what, where=name, found=_kind(values), needed=needed, hint=hint)
-    with located(name):
-        columns = _columns(values)
-    channel = pick("response", spec.channel, columns.shape[1], "channel")
-    return Recording(columns[:, channel].copy(), _sampling_rate_hz(variables, spec))
-
-
-def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
+    values = _array(variables, "variable", spec.variable)
     name = spec.sampling_rate_variable
-    if name is None and spec.sampling_rate_hz is not None:
-        return spec.sampling_rate_hz
-    if name is None:
+    if name is None and spec.sampling_rate_hz is None:
         single = [n for n, v in variables.items() if not isinstance(v, str) and v.size == 1]
         raise InputError(
             "the sampling rate of the MAT file is missing",
@@ -72,13 +46,29 @@ def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
             needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
             hint=f"single numbers in the file: {', '.join(single) or 'none'}",
         )
-    values = variables.get(name)
-    if values is None or isinstance(values, str) or values.size != 1:
-        what, found = "the MAT file has no such sampling rate", f"sampling_rate_variable = {name!r}"
-        needed = f"one number; the file holds {_listed(variables)}"
+    rate = None if name is None else _array(variables, "sampling_rate_variable", name)
+    if rate is not None and rate.size != 1:
+        what, found = "the MAT file has no such sampling rate", f"{name} {_kind(rate)}"
         hint = "give sampling_rate_hz instead, a number in Hz"
-        raise InputError(what, found=found, needed=needed, hint=hint)
-    return float(values.reshape(-1)[0])
+        raise InputError(what, found=found, needed="one number", hint=hint)
+    rate_hz = spec.sampling_rate_hz if rate is None else float(rate.reshape(-1)[0])
+    with located(spec.variable or ""):
+        return _column(values, spec, float(rate_hz or 0.0), "response")
+
+
+def _array(variables: Variables, key: str, name: str | None) -> FloatArray:
+    """Return the variable of a MAT file that a key names."""
+    values, listed = variables.get(name or ""), _listed(variables)
+    if values is not None and not isinstance(values, str) and values.ndim == 2 and values.size:
+        return values
+    if values is not None:
+        what = "the variable of the MAT file holds no array of real numbers"
+        hint = "in MATLAB, save what lies in it as a variable of its own, one response a column"
+        raise InputError(what, where=name, found=_kind(values), needed="numbers", hint=hint)
+    what = "the MAT file has no such variable" if name else "which variable of the MAT file is it?"
+    hint = did_you_mean(name or "", variables) or f"write {key} = a name, as the file has it"
+    found = f"{key} = {name!r}" if name else f"no {key}"
+    raise InputError(what, found=found, needed=f"one of {listed}", hint=hint)
 
 
 def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
@@ -104,9 +94,8 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
             hint="in MATLAB: a = ita_read(FILE); RIR = a.timeData; Fs = a.samplingRate; "
             "save('a.mat', 'RIR', 'Fs', '-v7')",
         )
-    columns = _columns(data) * float(scales[1].reshape(-1)[0])
-    channel = pick("channel", spec.channel, columns.shape[1], "channel")
-    return Recording(columns[:, channel].copy(), float(scales[0].reshape(-1)[0]))
+    rate_hz, scale = (float(v.reshape(-1)[0]) for v in scales)
+    return _column(data * scale, spec, rate_hz, "channel")
 
 
 def _variables(content: bytes) -> Variables:
@@ -118,14 +107,16 @@ def _variables(content: bytes) -> Variables:
         raise InputError(what, found=str(error), needed=needed, hint=hint) from error
 
 
-def _columns(values: FloatArray) -> FloatArray:
-    """Return responses as columns; a single one may stand in a row."""
+def _column(values: FloatArray, spec: ResponseSpec, rate_hz: float, kind: str) -> Recording:
+    """Return the response that is asked for of responses as columns; a single one may be a row."""
     n_rows, n_columns = values.shape
     if n_columns > n_rows > 1:
         what, found = "the responses stand in rows", f"{n_rows} rows and {n_columns} columns"
         hint = "save the transposed array"
         raise InputError(what, found=found, needed="one response a column", hint=hint)
-    return np.ascontiguousarray(values.T) if n_rows == 1 else values
+    columns = values.T if n_rows == 1 else values
+    channel = pick(kind, spec.channel, columns.shape[1], "channel")
+    return Recording(columns[:, channel].copy(), rate_hz)
 
 
 def _listed(variables: Variables) -> str:
@@ -146,18 +137,7 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     """
     lines = decoded(content).split("\n")
     numbers, notes, n_header = _rew_header(lines, b"\0" in content)
-    if "ir is the min phase version" in notes:
-        found = '"IR is the min phase version" in its header'
-        hint = "export the response itself, not its minimum-phase version"
-        what = "a minimum-phase response has lost its arrival times"
-        raise InputError(what, found=found, needed="the response as it was measured", hint=hint)
     interval_s, length, start_s = (numbers[key] for key in _REW_NEEDED)
-    if not 1e-6 <= interval_s <= 1e-3:
-        what, found = "the sample interval of the REW file is out of range", f"{interval_s:g} s"
-        hint = "export the impulse response from REW again"
-        raise InputError(what, found=found, needed="0.000001 to 0.001 s", hint=hint)
-    whole = round(1.0 / interval_s)
-    rate_hz = float(whole) if abs(1.0 - whole * interval_s) < 1e-6 else 1.0 / interval_s
     while len(lines) > n_header and not lines[-1].strip():
         lines.pop()
     try:
@@ -165,30 +145,40 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     except ValueError:
         numbered = enumerate(lines[n_header:], n_header + 1)
         pressure = np.array([_number(text, n) for n, text in numbered])
-    if len(pressure) != length:
+    what = ""
+    if "ir is the min phase version" in notes:
+        what = "a minimum-phase response has lost its arrival times"
+        found, needed = '"IR is the min phase version" in its header', "the response as measured"
+    elif not 1e-6 <= interval_s <= 1e-3:
+        what, found = "the sample interval of the REW file is out of range", f"{interval_s:g} s"
+        needed = "0.000001 to 0.001 s"
+    elif len(pressure) != length:
         what = f"the REW file is {'cut off' if len(pressure) < length else 'too long'}"
         found, needed = f"{len(pressure)} samples", f"{length:g}, by its own header"
-        raise InputError(what, found=found, needed=needed, hint="export it again from REW")
+    if what:
+        hint = "export the impulse response again from REW"
+        raise InputError(what, found=found, needed=needed, hint=hint)
+    whole = round(1.0 / interval_s)
+    rate_hz = float(whole) if abs(1.0 - whole * interval_s) < 1e-6 else 1.0 / interval_s
     name, findings = spec.path.name, list[Finding]()
-    if "ir is normalised" in notes:
-        peak = abs(numbers.get("peak value before normalisation", 0.0))
-        largest = float(np.abs(pressure).max(initial=0.0))
-        if peak > 0.0 and largest > 0.0:
-            pressure = pressure * (peak / largest)
-        else:
-            text = (
-                f"{name} was normalised by REW and does not say what its peak was: its level "
-                "means nothing beside that of other files."
-            )
-            advised = Remedy([Edit(("measurements", name), "level", "per-file")])
-            about = About(files=[name])
-            findings.append(Finding(Code.LEVEL_UNKNOWN, about, text, remedies=[advised]))
+    about = About(files=[name])
+    peak = abs(numbers.get("peak value before normalisation", 0.0))
+    largest = float(np.abs(pressure).max(initial=0.0))
+    if "ir is normalised" in notes and peak > 0.0 and largest > 0.0:
+        pressure = pressure * (peak / largest)
+    elif "ir is normalised" in notes:
+        text = (
+            f"{name} was normalised by REW and does not say what its peak was: its level "
+            "means nothing beside that of other files."
+        )
+        advised = Remedy([Edit(("measurements", name), "level", "per-file")])
+        findings.append(Finding(Code.LEVEL_UNKNOWN, about, text, remedies=[advised]))
     if "ir window has been applied" in notes:
         text = (
             f"{name} was exported with REW's window applied, which bends the late decay and "
             "hides the noise; export it without the window."
         )
-        findings.append(Finding(Code.WINDOW_APPLIED, About(files=[name]), text))
+        findings.append(Finding(Code.WINDOW_APPLIED, about, text))
     peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + start_s
     if spec.time_zero == "emission" and abs(peak_s) <= 1.5 / rate_hz:
         text = (
@@ -197,7 +187,7 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
             "reference."
         )
         advised = Remedy([Edit(("measurements", name), "time_zero", "direct", now=["emission"])])
-        about, evidence = About(files=[name]), {"peak_s": peak_s}
+        evidence = {"peak_s": peak_s}
         findings.append(Finding(Code.TIME_ZERO_AT_PEAK, about, text, evidence, remedies=[advised]))
     return Recording(pressure, rate_hz, start_s, tuple(findings))
 
@@ -227,16 +217,16 @@ def _rew_header(lines: list[str], is_binary: bool) -> tuple[dict[str, float], st
             numbers[label.strip()] = _number(value, index + 1)
         else:
             notes.append(text)
-    if not is_rew:
-        what = "this is not an impulse response that REW exported as text"
-        needed = 'a first line "* Impulse Response data saved by REW"'
-        hint = "in REW: File, Export, Export impulse response as text"
-        raise InputError(what, found=found, needed=needed, hint=hint)
-    for label in _REW_NEEDED:
-        if label not in numbers:
-            what, needed = "the header of the REW file is not complete", f'a line "... // {label}"'
-            hint = "the file may be cut off: export it again from REW"
-            raise InputError(what, found="a header without it", needed=needed, hint=hint)
+    missing = [label for label in _REW_NEEDED if label not in numbers]
+    if missing:
+        raise InputError(
+            "the header of the REW file is not complete"
+            if is_rew
+            else "this is not an impulse response that REW exported as text",
+            found=f"no line ... // {missing[0]}" if is_rew else found,
+            needed='a first line "* Impulse Response data saved by REW", and all that follows it',
+            hint="in REW: File, Export, Export impulse response as text",
+        )
     return numbers, "\n".join(notes), n_lines
 
 
@@ -259,25 +249,38 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
 
     Refused are encodings that lose what is needed.
     """
-    findings: tuple[Finding, ...] = ()
+    name, findings = spec.path.name, list[Finding]()
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
                 what, hint = "this encoding of a sound file is not read", "export it as 24-bit WAV"
                 needed = "PCM of 16, 24 or 32 bits, or floating point"
                 raise InputError(what, found=file.subtype, needed=needed, hint=hint)
-            for _, declared, available in _SHORT.findall(file.extra_info):
-                if int(declared) == _UNKNOWN_LENGTH:
-                    findings = (_without_length(spec.path.name, int(available)),)
-                elif int(declared) > int(available):
-                    raise _cut_off(f"{available} bytes of samples", f"{declared} bytes")
+            declared, available, unit = file.frames, file.frames, "samples"
+            for _, stated, there in _SHORT.findall(file.extra_info):
+                if int(stated) == _UNKNOWN_LENGTH:
+                    text = (
+                        f"{name} was written as a stream: its header does not contain its length, "
+                        "so a cut end would not be noticed. Everything up to the end of the file "
+                        "was read."
+                    )
+                    evidence = {"bytes_of_samples": int(there)}
+                    code, about = Code.WAV_LENGTH_UNKNOWN, About(files=[name])
+                    findings = [Finding(code, about, text, evidence)]
+                elif int(stated) > int(there):
+                    declared, available, unit = int(stated), int(there), "bytes of samples"
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
                 raise ValueError("more numbers than are read from one file, or one of its size")
             channel = pick("channel", spec.channel, file.channels, "channel")
             samples = file.read(dtype="float64", always_2d=True)
-            if len(samples) < file.frames:
-                raise _cut_off(f"{len(samples)} samples", f"{file.frames}")
-            return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
+            if unit == "samples":
+                available = len(samples)
+            if available < declared:
+                what, hint = "the sound file is cut off", "copy or export the file again"
+                found, needed = f"{available} {unit}", f"{declared}, by its own header"
+                raise InputError(what, found=found, needed=needed, hint=hint)
+            rate_hz = float(file.samplerate)
+            return Recording(samples[:, channel].copy(), rate_hz, 0.0, tuple(findings))
     except (soundfile.SoundFileError, RuntimeError, ValueError, OverflowError, MemoryError) as why:
         is_sound = content[:4] in (b"RIFF", b"RF64", b"fLaC", b"FORM", b"riff")
         start = f"a file of {len(content)} bytes that begins with {content[:12]!r}"
@@ -288,20 +291,6 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
             needed="PCM or floating-point samples under a header of that format",
             hint="export it again, under a name that ends as its format demands",
         ) from why
-
-
-def _without_length(name: str, n_bytes: int) -> Finding:
-    text = (
-        f"{name} was written as a stream: its header does not contain its length, so a cut end "
-        "would not be noticed. Everything up to the end of the file was read."
-    )
-    evidence = {"bytes_of_samples": n_bytes}
-    return Finding(Code.WAV_LENGTH_UNKNOWN, About(files=[name]), text, evidence)
-
-
-def _cut_off(found: str, needed: str) -> InputError:
-    what, hint = "the sound file is cut off", "copy or export the file again"
-    return InputError(what, found=found, needed=f"{needed}, by its own header", hint=hint)
 
 
 def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
@@ -321,6 +310,5 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
             needed="a file of numpy.save with real numbers, one response a column",
             hint="write it with numpy.save(file, samples), samples of floats",
         ) from error
-    columns = _columns(values.astype(np.float64).reshape(len(values), -1))
-    channel = pick("response", spec.channel, columns.shape[1], "channel")
-    return Recording(columns[:, channel].copy(), spec.sampling_rate_hz)
+    columns = values.astype(np.float64).reshape(len(values), -1)
+    return _column(columns, spec, spec.sampling_rate_hz, "response")
