@@ -13,17 +13,18 @@ import pytest
 
 from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.base.whole_files import locked
-from roomfit.batch.rooms import identify_rooms, room_tasks, rooms_text
+from roomfit.batch.rooms import described, identify_rooms, room_tasks
+from roomfit.report.text import text
 
 HELPERS = Path(__file__).parent / "helpers"
 
 
 def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_path: Path) -> None:
     """It is neither refused nor failed, and the next run looks at it again."""
-    text = '[room]\nshoebox = [6, 5, 3]\n[[measurements]]\nparameters = "measured.csv"\n'
+    content = '[room]\nshoebox = [6, 5, 3]\n[[measurements]]\nparameters = "measured.csv"\n'
     (tmp_path / "hall").mkdir()
     campaign = tmp_path / "hall" / "campaign.toml"
-    campaign.write_text(text)
+    campaign.write_text(content)
     campaign.with_name("measured.csv").write_text("source,receiver,parameter,1000\nS,R,T30,0.3\n")
     out = tmp_path / "out"
     place = out / "rooms" / room_tasks([campaign])[0].address
@@ -31,7 +32,7 @@ def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_pat
     with locked(place):
         (row,) = identify_rooms([campaign], out)
     assert (row.status, row.message) == ("elsewhere", "another run is identifying this room")
-    assert "1 rooms: 1 elsewhere." in rooms_text([row])
+    assert "1 rooms: 1 elsewhere." in text(described([row]))
     assert list((out / "failures").iterdir()) == []
     (row,) = identify_rooms([campaign], out)
     assert row.status == "refused"  # it has no source

@@ -92,7 +92,7 @@ def spherical_wave(
     """Return ``R + (1 - R) F(w)`` by the error function of scipy, or R without a wavenumber.
 
     Written for ``exp(-j w t)``, hence the conjugates; see
-    `roomfit.impedance.wave_kernels`.
+    `roomfit.impedance.wave_model`.
     """
     turned = impedance * cosine[:, None]
     plane = (turned - 1.0) / (turned + 1.0)

@@ -13,7 +13,7 @@ from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import Z95, expit
-from roomfit.base.shown import Shown
+from roomfit.base.table import Shown
 from roomfit.base.typing import VALUE_NAMES, BoolArray, FloatArray
 from roomfit.materials.priors import (
     MaterialPrior,

@@ -9,8 +9,7 @@ from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
 from roomfit.design.candidates import DesignOptions
-from roomfit.design.positions import design
-from roomfit.design.symmetry import plane_findings
+from roomfit.design.positions import design, plane_findings
 from roomfit.fit.symmetry import mirror_planes
 from roomfit.room.scene import Scene, scene_of, shoebox_room
 from roomfit.settings import Settings

@@ -12,7 +12,7 @@ import scipy.io
 from roomfit.base.errors import InputError
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec
-from roomfit.formats.matlab import mat_variables
+from roomfit.formats.hdf5 import mat_variables
 
 DATA = Path(scipy.io.__file__).parent / "matlab/tests/data"
 

@@ -20,11 +20,12 @@ from roomfit.impedance.laws import (
     spline,
 )
 from roomfit.impedance.problem import Problem, data_rows, prior_rows, start_of
-from roomfit.impedance.wave_kernels import boundary_loss, plane_reflection
 from roomfit.impedance.wave_model import (
     Nuisances,
     State,
     at_rest,
+    boundary_loss,
+    plane_reflection,
     predicted_pressure,
     wave_model,
     wavenumber_per_m,

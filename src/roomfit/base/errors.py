@@ -34,12 +34,8 @@ class RoomfitError(Exception):
         hint: str | None = None,
         points_m: Sequence[tuple[float, float, float]] = (),
     ) -> None:
-        self.what = what
-        self.where = where
-        self.found = found
-        self.needed = needed
-        self.hint = hint
-        self.points_m = tuple(points_m)
+        self.what, self.where, self.found = what, where, found
+        self.needed, self.hint, self.points_m = needed, hint, tuple(points_m)
         rows = (("where", where), ("found", found), ("needed", needed), ("try", hint))
         lines = [f"  {key:<7} {_shown(text)}" for key, text in rows if text]
         super().__init__("\n".join([what, *lines]))
@@ -76,11 +72,6 @@ def located(place: str = "", *, hint: str | None = None) -> Iterator[None]:
     try:
         yield
     except RoomfitError as error:
-        raise type(error)(
-            error.what,
-            where=", ".join(part for part in (place, error.where) if part) or None,
-            found=error.found,
-            needed=error.needed,
-            hint=error.hint or hint,
-            points_m=error.points_m,
-        ) from error
+        parts = {k: getattr(error, k) for k in ("found", "needed", "points_m")}
+        where = ", ".join(part for part in (place, error.where) if part) or None
+        raise type(error)(error.what, where=where, hint=error.hint or hint, **parts) from error

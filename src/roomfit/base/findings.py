@@ -17,10 +17,8 @@ from roomfit.base.errors import InputError
 Severity = Literal["info", "warning", "serious"]
 
 
-# For codes that leave the description of the room in doubt as a whole, and for those that void
-# what they are about and nothing else.
+# For codes that leave the description of the room in doubt as a whole.
 _VOIDS: Literal["everything"] = "everything"
-_VOIDS_ITS_OWN: Literal["its own"] = "its own"
 
 
 class Code(StrEnum):
@@ -66,7 +64,7 @@ class Code(StrEnum):
         member._value_ = text
         member.severities = (severity,) if isinstance(severity, str) else severity
         member.voids_identifiability = voids == _VOIDS
-        member.voids_its_own = voids == _VOIDS_ITS_OWN
+        member.voids_its_own = voids == "its own"
         return member
 
     @property
@@ -78,15 +76,15 @@ class Code(StrEnum):
 
     MODEL_DOES_NOT_FIT = "model-does-not-fit", "warning"
     MODEL_MISFIT_ALL_BANDS = "model-misfit-all-bands", "serious", _VOIDS
-    DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious", _VOIDS_ITS_OWN
-    REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious"), _VOIDS_ITS_OWN
+    DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious", "its own"
+    REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious"), "its own"
     FIT_NOT_CONVERGED = "fit-not-converged", "warning"
     MULTIPLE_MINIMA_MULTISTART = "multiple-minima-multistart", "warning"
     PRIOR_DOMINATED = "prior-dominated", "warning"
     BAND_NOT_FITTED = "band-not-fitted", "warning"
     MATERIAL_NOT_REACHED = "material-not-reached", "warning"
     MATERIALS_NOT_SEPARABLE = "materials-not-separable", "warning"
-    MIRROR_AMBIGUITY = "mirror-ambiguity", "warning", _VOIDS_ITS_OWN
+    MIRROR_AMBIGUITY = "mirror-ambiguity", "warning", "its own"
     BELOW_SCHROEDER_FREQUENCY = "below-schroeder-frequency", "warning"
 
     # Positions, walls, sources and scattering as they were specified.
@@ -215,20 +213,13 @@ class Code(StrEnum):
 
 
 def code_of(text: object, where: str) -> Code:
-    """Return the code that stands in a file.
-
-    `text`: as read. `where`: the file, for the message.
-    """
+    """Return the code that stands in a file."""
     code = next((code for code in Code if code == text), None)
     if code is None:
-        raise InputError(
-            "a finding has an unknown code",
-            where=where,
-            found=repr(text),
-            needed="a code of docs/findings.md, such as "
-            f"{Code.MODEL_DOES_NOT_FIT.value!r} or {Code.PRIOR_DOMINATED.value!r}",
-            hint="the file is of another version of roomfit: make it again with this one",
-        )
+        what, found = "a finding has an unknown code", repr(text)
+        needed = f"a code of docs/findings.md, such as {Code.MODEL_DOES_NOT_FIT.value!r}"
+        hint = "the file is of another version of roomfit: make it again with this one"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     return code
 
 

@@ -70,8 +70,7 @@ def completed(client: Any, tasks: Iterable[Callable[[], object]]) -> Iterator[tu
 
     Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
     thread of the workers are submitted and not yet yielded. When the iterator is closed, those that
-    wait are dropped. After a minute in which none ends, a message names the workers that are waited
-    for.
+    wait are dropped. After a minute in which none ends, a message says so.
 
     Dask blames a worker's death on every task that was given to it, those that only waited there
     included. A task given up for it is therefore tried once more when no other is left that could
@@ -97,7 +96,7 @@ def completed(client: Any, tasks: Iterable[Callable[[], object]]) -> Iterator[tu
                 with client.as_current():
                     done, _ = distributed.wait([*running], _SILENCE_S, "FIRST_COMPLETED")
             except TimeoutError:
-                _LOG.log(_NOTICE, "waiting for %s since %s", _at_work(client), since)
+                _LOG.log(_NOTICE, "waiting for %d tasks since %s", len(running), since)
                 continue
             since = time.strftime("%H:%M:%S")
             for future in done:
@@ -132,23 +131,6 @@ def result_of(future: Any) -> Any:
             hint="memory is the usual reason: fewer workers on a machine leave more for each",
         )
     return future.result()
-
-
-def _at_work(client: Any) -> str:
-    """Return the workers that have tasks, and which of them do not go on with theirs."""
-    try:
-        busy = client.processing()
-        known = client.scheduler_info(n_workers=-1)["workers"]
-    except Exception as error:  # noqa: BLE001 -- a message, whatever ails the scheduler
-        return f"the scheduler, which does not answer ({type(error).__name__})"
-    found = []
-    for address in (address for address, tasks in busy.items() if tasks):
-        own = known.get(address, {})
-        paused = ", paused: its memory is full" * (own.get("status") == "paused")
-        silent_s = time.time() - own.get("last_seen", time.time())
-        silent = f", silent for {silent_s:.0f} s" if silent_s > _SILENCE_S / 2.0 else ""
-        found.append(f"worker {address}{paused}{silent}")
-    return "; ".join(found[:5]) or "workers, of which none has a task"
 
 
 @contextmanager

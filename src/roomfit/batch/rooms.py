@@ -27,7 +27,7 @@ import numpy as np
 from roomfit.base.door import complete
 from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.base.kernels import keep_one_blas_thread
-from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
+from roomfit.base.table import Cell, Column, Table, Value, csv_of, written
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
 from roomfit.batch.cluster import cluster_client, completed, result_of
@@ -38,6 +38,7 @@ from roomfit.files.results import check_disk_room, read_result_content
 from roomfit.identify import compile_kernels
 from roomfit.report.blocks import Blocks, Sentence
 from roomfit.report.html import page
+from roomfit.report.text import text
 from roomfit.report.wording import in_file_name
 
 _LOG = logging.getLogger("roomfit")
@@ -87,14 +88,14 @@ def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
     """Return the campaign files that paths and patterns (``*``, ``?``, ``**``) name, each once."""
     found: list[Path] = []
     for pattern in patterns:
-        text = str(pattern)
-        is_pattern = glob.has_magic(text) and not Path(text).exists()
-        matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]  # noqa: PTH207 -- may be absolute
+        word = str(pattern)
+        is_pattern = glob.has_magic(word) and not Path(word).exists()
+        matches = sorted(glob.glob(word, recursive=True)) if is_pattern else [word]  # noqa: PTH207 -- may be absolute
         if not matches:
             what = "no campaign file is called so"
             needed = "a pattern that matches a file, relative to this folder"
             hint = 'put the pattern in quotation marks, as "rooms/*/campaign.toml"'
-            raise InputError(what, found=repr(text), needed=needed, hint=hint)
+            raise InputError(what, found=repr(word), needed=needed, hint=hint)
         found += [Path(m).absolute() for m in matches]
     return tuple(dict.fromkeys(found))
 
@@ -312,39 +313,31 @@ def _write_table(out: Path, rows: Sequence[RoomRow]) -> None:
         findings, message = " ".join(row.findings), " ".join(row.message.split())
         records.append((row.name, row.status, report, *numbers, findings, row.seconds, message))
     write_text_atomically(out / "rooms.csv", csv_of(Table("", _COLUMNS, records)))
-    shown = Blocks("Rooms", (Sentence(counted(rows), "lead"), _page_table(rows)), ())
-    write_text_atomically(out / "rooms.html", page(shown))
+    write_text_atomically(out / "rooms.html", page(described(rows)))
 
 
-def counted(rows: Sequence[RoomRow]) -> str:
-    """Return how many rooms are done and how many are not, in a sentence."""
+def described(rows: Sequence[RoomRow]) -> Blocks:
+    """Return how many rooms are done and how many are not, and a table of all."""
     kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting", "elsewhere")
     numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
-    return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
-
-
-def _page_table(rows: Sequence[RoomRow]) -> Table:
-    columns = (
-        *("Room", "Status", "Identifiable values"),
-        "Mean absorption of the room, 500 and 1000 Hz",
-        *("Decay time there, measured, s", "predicted, s"),
-        *("Largest reduced chi-square", "Findings"),
-    )
-    shown = []
+    lead = f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
+    shown: list[Sequence[Value]] = []
     for row in rows:
         mean, lower, upper = row.mean
         link = quote(f"{row.folder}/report.html") if row.folder else ""
+        status = Cell(row.status, tuple(row.message.splitlines()), link=link)
+        values = f"{row.identifiable} of {row.values}" if row.values else ""
         bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
-        cells: tuple[Value, ...] = (
-            row.name,
-            Cell(row.status, tuple(row.message.splitlines()), link=link),
-            f"{row.identifiable} of {row.values}" if row.values else "",
-            Cell(written(mean, ".2f"), bounds),
-            *(*row.decay_s, row.chi2_reduced),
-            Cell("", row.findings),
-        )
-        shown.append(cells)
-    return Table("Every room with its key figures", columns, shown, form=".2f")
+        cells = (status, values, Cell(written(mean, ".2f"), bounds), *row.decay_s, row.chi2_reduced)
+        shown.append((row.name, *cells, Cell("", row.findings)))
+    columns = (
+        *("Room", "Status", "Identifiable\nvalues"),
+        "Mean absorption of the\nroom, 500 and 1000 Hz",
+        *("Decay time there,\nmeasured, s", "predicted, s"),
+        *("Largest reduced\nchi-square", "Findings"),
+    )
+    table = Table("Every room with its key figures", columns, shown, form=".2f")
+    return Blocks("Rooms", (Sentence(lead, "lead"), table), ())
 
 
 def batch_to_folder(
@@ -366,19 +359,4 @@ def batch_to_folder(
         rows = identify_rooms(
             paths, out, client=client, shard=shard, quick=quick, progress=progress
         )
-    return rooms_text(rows), 2 * any(row.status in ("refused", "failed") for row in rows)
-
-
-def rooms_text(rows: Sequence[RoomRow]) -> str:
-    """Return the table for a terminal: a line a room, and what failed below it."""
-    shown: list[Sequence[Value]] = []
-    for r in rows:
-        cells = ["", "", ""]
-        if r.status == "done":
-            mean, lower, upper = (f"{x:.2f}" for x in r.mean)
-            cells = [f"{r.identifiable} of {r.values}", f"{mean} ({lower} to {upper})"]
-            cells.append(f"{r.decay_s[0]:.2f} s ({r.decay_s[1]:.2f} s)")
-        shown += [(r.name, r.status, *cells), *([f"    {x}"] for x in r.message.splitlines())]
-    words = ("status", "identifiable", "mean absorption", "T (predicted)")
-    columns = [Column(word, align="<") for word in ("room", *words)]
-    return text_of(Table("", columns, shown, ("", counted(rows))))
+    return text(described(rows)), 2 * any(row.status in ("refused", "failed") for row in rows)

@@ -11,7 +11,7 @@ import numpy as np
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code, Finding
-from roomfit.base.shown import Shown
+from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks import room
 from roomfit.checks.arrivals import arrival_findings, with_corrected_clocks

@@ -108,7 +108,7 @@ def check_campaign_recordings(
     """
     # all of roomfit: a room by itself does not wait for it
     from roomfit.checks.usable import check_recordings
-    from roomfit.design.symmetry import plane_findings
+    from roomfit.design.positions import plane_findings
     from roomfit.files.inputs import identify_arguments
     from roomfit.fit.measurements import measured_scene
     from roomfit.room.scene import named_pairs

@@ -13,9 +13,9 @@ import numpy as np
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Finding
+from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import one_blas_thread
-from roomfit.base.shown import Shown
+from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress, part
 from roomfit.design.candidates import DesignOptions, design_candidates
 from roomfit.design.choose import (
@@ -30,7 +30,7 @@ from roomfit.design.choose import (
 )
 from roomfit.design.expected import information_of_candidates
 from roomfit.design.prior import PriorInformation, information_from_fit, information_from_priors
-from roomfit.design.symmetry import plane_findings
+from roomfit.fit.symmetry import mirror_planes
 from roomfit.fit.traced_room import scene_decay_s
 from roomfit.materials.priors import MaterialPrior, complete_priors, object_area_m2
 from roomfit.model.patterns import Directivities
@@ -307,3 +307,34 @@ def _random_means(
         widths = _widths(scene, known, pairs, rules, drawn)
         row[: len(drawn) + 1] = widths[:, compared].mean(axis=(1, 2))
     return out
+
+
+def plane_findings(scene: Scene) -> tuple[Finding, ...]:
+    """Return a finding for each plane of symmetry on which all pairs of a scene stand.
+
+    Of planes that exchange different materials; whose absorption is then hardly determined.
+    """
+    findings = []
+    for symmetry, normal in mirror_planes(scene):
+        walls = np.flatnonzero(symmetry.exchange != np.arange(symmetry.exchange.size))
+        exchanged = [scene.room.materials[i] for i in walls]
+        offset_m = float(normal @ symmetry.centre_m)
+        parts = zip(normal, "xyz", strict=True)
+        axis = " ".join(x if c > 0.999 else f"{c:+.2f} {x}" for c, x in parts if abs(c) > 0.01)
+        used = [
+            sorted({points[i].name for i in np.unique(column)})
+            for points, column in zip((scene.sources, scene.receivers), scene.pairs.T, strict=True)
+        ]
+        names = used[0] if len(used[0]) < len(used[1]) else used[1]
+        findings.append(
+            Finding(
+                Code.ON_SYMMETRY_PLANE,
+                About(materials=exchanged),
+                f"Every pair of source and receiver stands on the plane of symmetry "
+                f"{axis} = {offset_m:.2f} m: reflections off {' and '.join(exchanged)} arrive "
+                f"together there, and hardly tell them apart. Move {', '.join(names)} off the "
+                "plane, the farther the better.",
+                {"normal": normal.tolist(), "offset_m": offset_m, "move": names},
+            )
+        )
+    return tuple(findings)

@@ -135,7 +135,7 @@ def identify_impedance(
     References
     ----------
     The spherical reflection is that of C. F. Chien, W. W. Soroka, J. Sound Vib. 43, 9-20 (1975);
-    see `roomfit.impedance.wave_kernels`.
+    see `roomfit.impedance.wave_model`.
 
     Examples
     --------

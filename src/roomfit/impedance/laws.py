@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
-from roomfit.impedance.wave_kernels import plane_reflection
+from roomfit.impedance.wave_model import plane_reflection
 
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0

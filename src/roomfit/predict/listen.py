@@ -21,8 +21,8 @@ from roomfit.fit.traced_room import TracedRoom, trace_room
 from roomfit.predict.changes import changed_draws
 from roomfit.predict.question import Question
 from roomfit.result import result_doubts
+from roomfit.signals.decay import scaled_response
 from roomfit.signals.measurement import MeasuredPair, Measurement
-from roomfit.signals.scaling import scaled_response
 from roomfit.uncertainty.posterior import draw_absorption
 
 # Ratios are means over a tenth of the time since the direct sound, and over 10 ms at most: of

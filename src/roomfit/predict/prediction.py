@@ -10,7 +10,7 @@ import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.shown import Shown
+from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, ValueName
 from roomfit.predict.changes import Change, change_text
 from roomfit.signals.decay import FIT_RANGES_DB

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from roomfit.base.errors import InputError
-from roomfit.base.shown import Shown
-from roomfit.base.table import Column, Table, csv_of
+from roomfit.base.table import Column, Shown, Table, csv_of
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.base.whole_files import check_output_folder, whole_output_folder, write_text_atomically
 from roomfit.files.encoding import ResultFile

@@ -13,7 +13,7 @@ from roomfit.base.arguments import check_range
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import one_blas_thread
-from roomfit.base.shown import Shown
+from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.predict.decay import moved
 from roomfit.predict.diffuse import PreparedField, field_values, in_rows

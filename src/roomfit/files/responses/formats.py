@@ -19,7 +19,7 @@ from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.typing import FloatArray
 from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
-from roomfit.formats.matlab import Variables, mat_variables
+from roomfit.formats.hdf5 import Variables, mat_variables
 
 _ITA = "ITA_TOOLBOX_AUDIO_OBJECT"
 _REW_TITLE = "impulse response data saved by rew"
