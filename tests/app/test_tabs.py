@@ -18,7 +18,6 @@ from roomfit.app import page as own_page
 from roomfit.app import project, tasks, views
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
 from roomfit.app.measurements_tab import MeasurementsTab, MeasureTab
-from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
 
 ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
@@ -190,37 +189,6 @@ async def answer(bench: Bench, tab: own_page.Tab, view: Any) -> None:
     await waiting
 
 
-def test_the_room_shows_where_a_finding_is_by_its_points_and_not_by_its_words(
-    folder: Path,
-) -> None:
-    view = views.room_view(folder)
-    doubt = {"code": "x", "severity": "warning", "sentence": "Near (9.00, 9.00, 9.00) m."}
-    view["findings"] = [{**doubt, "about": {"points_m": [[1.0, 2.0, 0.5]]}}]
-
-    async def whole() -> None:
-        tab, bench, client = tab_of(RoomTab, folder)
-        await answer(bench, tab, view)
-        places = [e.text for e in client.elements.values() if isinstance(e, ui.button)]
-        assert "Show 1.00, 2.00, 0.50" in places and not any("9.00" in text for text in places)
-
-    asyncio.run(whole())
-
-
-def test_a_surface_that_is_picked_shows_its_material(folder: Path) -> None:
-    view = views.room_view(folder)
-
-    async def whole() -> None:
-        tab, bench, client = tab_of(RoomTab, folder)
-        await answer(bench, tab, view)
-        names = [s["name"] for s in view["surfaces"]]
-        tab.pick(names.index("floor"))
-        assert "Surface floor" in shown(client)
-        pressed = [line.props["aria-pressed"] for line in tab.lines]
-        assert pressed.count("true") == 1 and pressed[names.index("floor")] == "true"
-
-    asyncio.run(whole())
-
-
 def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
     view = views.recordings_view(folder)
     lone = {"kind": "sources", "name": "LS1", "position_m": None}
@@ -308,20 +276,6 @@ def test_while_a_change_is_evaluated_only_the_newest_waits(folder: Path) -> None
     asyncio.run(whole())
 
 
-def test_the_report_offers_what_the_answer_has_and_links_to_exports(folder: Path) -> None:
-    async def whole() -> None:
-        tab, bench, client = tab_of(ReportTab, folder)
-        await tab.refresh()
-        assert "Download result.json" in shown(client) and "report.html</a>" not in shown(client)
-        exporting = asyncio.ensure_future(tab.export("catt"))
-        await asyncio.sleep(0)
-        bench.asked[-1].set_result(["exports/a b.geo", "exports/<c>.geo"])
-        await exporting
-        assert "a%20b.geo?save=1" in shown(client) and "&lt;c&gt;.geo</a>" in shown(client)
-
-    asyncio.run(whole())
-
-
 # What findings advise.
 
 
@@ -377,67 +331,4 @@ def test_a_remedy_is_shown_then_written_then_undone(folder: Path) -> None:
     asyncio.run(whole())
 
 
-def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> None:
-    options = [
-        {
-            "words": f'prior = "{entry}" for <floor>',
-            "edits": [{"table": ["materials", "<floor>"], "key": "prior", "value": entry}],
-        }
-        for entry in ("cork-tiles", "carpet-on-underlay")
-    ]
-    entry = {"code": "broad-prior-assumed", "severity": "info", "n": 1, "options": options}
-
-    async def whole() -> None:
-        tab, bench, client = tab_of(IdentifyTab, folder)
-        await answer(bench, tab, {**ANSWER, "advised": [entry]})
-        (choice,) = [
-            e
-            for e in client.elements.values()
-            if isinstance(e, ui.select) and "broad prior" in str(e.props["label"])
-        ]
-        choice.set_value(1)
-        await press(button(client, "Set this"))
-        text = shown(client)
-        assert "carpet-on-underlay" in text and "cork-tiles" not in text
-        assert "&lt;floor&gt;" in text and "<floor>" not in text
-
-    asyncio.run(whole())
-
-
 # What was measured here.
-
-
-QUALITY = {
-    "source": "<S>",
-    "receiver": "R1",
-    "peak_dbfs": -9.0,
-    "n_clipped": 0,
-    "noise_dbfs": -70.0,
-    "bands_hz": [125.0, 250.0],
-    "range_db": [31.0, 47.0],
-    "suffices_for": ["", "T30"],
-    "again": ["noise hides the decay in 125 Hz"],
-}
-
-
-def test_a_response_is_shown_with_its_range_and_why_to_measure_again(folder: Path) -> None:
-    async def whole() -> None:
-        tab, _, client = tab_of(MeasureTab, folder)
-        await tab.show(QUALITY)
-        text = shown(client)
-        assert "Measure again: noise hides the decay in 125 Hz." in text
-        assert "31 dB" in text and "too short" in text and "&lt;S&gt; to R1" in text
-        assert "It suffices" not in text
-        await tab.show(
-            {**QUALITY, "again": [], "not_named": "The response is not in the campaign."}
-        )
-        text = shown(client)
-        assert (
-            "It suffices" in text and "not in the campaign" in text and "again: noise" not in text
-        )
-        (folder / project.RECORDINGS).mkdir()
-        (folder / project.RECORDINGS / "S1_R1.wav").touch()
-        await tab.refresh()
-        assert "In recordings: S1_R1.wav" in shown(client)
-
-    asyncio.run(whole())

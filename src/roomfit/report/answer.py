@@ -118,11 +118,10 @@ def result_blocks(
     project: Mapping[str, str] | None = None,
     advice: Advice | None = None,
 ) -> Blocks:
-    """Return an identification as blocks.
+    """Return an identification as blocks, see `report_html`.
 
-    The answer in a sentence, two numbers, findings, absorption; predictions beside measurements,
-    the room; folded away how sure it is, absorption areas, single pairs and provenance. `advice`
-    is what findings advise to write into the campaign.
+    First the answer; folded away how sure it is, and where it comes from. `advice` is what findings
+    advise to write into the campaign.
     """
     about = dict(project or {})
     language, logo = about.pop("language", "en"), about.pop("logo", "")
@@ -298,16 +297,12 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
         more.append(Part(words, (Terms(sentences), Sentence(half)), folded=True))
     if (found := answer.geometry) is not None and found.n_offsets:
         words = "Fitted along by early reflections, from the specified value; intervals hold there"
-        at = range(len(found.labels) - found.n_offsets, len(found.labels))
-        offsets = tuple(
-            (
-                found.labels[i],
-                f"{found.change[i]:+.3f} ± {found.sd[i]:.3f} m "
-                f"(specified within {found.prior_sd[i]:.3f} m)",
-            )
-            for i in at
-        )
-        more += [Sentence(words), Terms(offsets)]
+        each = zip(found.labels, found.change, found.sd, found.prior_sd, strict=True)
+        offsets = [
+            (label, f"{change:+.3f} ± {sd:.3f} m (specified within {prior_sd:.3f} m)")
+            for label, change, sd, prior_sd in each
+        ]
+        more += [Sentence(words), Terms(tuple(offsets[-found.n_offsets :]))]
     return [
         _absorption_drawing(answer, say),
         *tables.absorption_tables(answer),
@@ -336,7 +331,10 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
 
 
 def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
-    done = Sentence(_what_was_done(answer))
+    kept = sum(pair.use == "validate" for pair in answer.pairs)
+    words = count(len(answer.pairs) - kept, "fitted measurement")
+    words += f" and {count(kept, 'measurement')} kept for validation" if kept else ""
+    done = Sentence(f"From {words}; method {answer.method}, model {answer.model}.")
     if not answer.pairs:
         return [done, Sentence("There are no measurements to compare with.")]
     found: list[Block] = [done]
@@ -363,10 +361,10 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
 
 
 def _decays(answer: Result) -> list[Block]:
-    pairs = [pair for pair in answer.pairs if _has_curves(pair)]
-    if not pairs:
-        words = "No measurement came as a recording, so there are no curves to show."
-        return [Sentence(words)]
+    found = [(i, pair) for i, pair in enumerate(answer.pairs, start=1) if _has_curves(pair)]
+    if not found:
+        return [Sentence("No measurement came as a recording, so there are no curves to show.")]
+    pairs = [pair for _, pair in found]
     caption = (
         "Energy left in the room relative to the whole, after each time; above each panel the "
         "decay time, measured → predicted, and shaded the range of levels from which it was read. "
@@ -375,38 +373,29 @@ def _decays(answer: Result) -> list[Block]:
     )
     if len(pairs) > 1:
         caption += " Shown first: the pair whose parameters are furthest off."
-    off = np.nan_to_num([tables.mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
+    title = (
+        f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel "
+        "a band; the tables below hold the parameters derived from them."
+    )
     names = [
         f"decay_{i:02d}_{in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
-        for i, p in enumerate(answer.pairs, start=1)
-        if _has_curves(p)
+        for i, p in found[:_MOST_DECAY_FILES]
     ]
-    shown: list[Block] = [
-        Drawing(
-            "decay",
-            f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel "
-            "a band; the tables below hold the parameters derived from them.",
-            caption,
-            "decay_figure",
-            (answer, *pairs),
-            choices=tuple(map(tables.pair_title, pairs)),
-            files=tuple(names[:_MOST_DECAY_FILES]),
-            chosen=int(np.argmax(off)),
-        )
-    ]
+    off = np.nan_to_num([tables.mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
+    choices, of = tuple(map(tables.pair_title, pairs)), (answer, *pairs)
+    shown = Drawing(
+        "decay", title, caption, "decay_figure", of, choices, tuple(names), int(np.argmax(off))
+    )
     without = len(answer.pairs) - len(pairs)
-    if without:
-        words = f"Without a curve, for there is no recording: {without} of {len(answer.pairs)}."
-        shown.append(Sentence(words, "note"))
-    return shown
+    words = f"Without a curve, for there is no recording: {without} of {len(answer.pairs)}."
+    return [shown, Sentence(words, "note")] if without else [shown]
 
 
 def _has_curves(pair: ComparedPair) -> bool:
     """Return whether there are decay curves to draw: values alone have none."""
     decay = pair.decay
-    if decay is None or not decay.time_s.size:
-        return False
-    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
+    levels = [] if decay is None else [decay.measured_db, decay.predicted_db]
+    return any(bool(np.isfinite(x).any()) for x in levels)
 
 
 def _room(scene: Scene) -> tuple[Block, ...]:
@@ -492,18 +481,3 @@ def _provenance(
     rows = [(name, Cell(digest, style="words")) for name, digest in digests.items()]
     digest = (Table("SHA-256 of the inputs", ("file", "digest"), rows),) if rows else ()
     return (*map(Sentence, answer.reasons), Terms(terms), *digest)
-
-
-def _what_was_done(answer: Result) -> str:
-    fitted = sum(pair.use == "fit" for pair in answer.pairs)
-    kept = len(answer.pairs) - fitted
-    data = count(fitted, "fitted measurement")
-    if kept:
-        data += f" and {count(kept, 'measurement')} kept for validation"
-    everywhere = np.ones(len(answer.bands), dtype=np.bool_)
-    return (
-        f"Absorption of {count(len(answer.materials), 'material')} in "
-        f"{count(len(answer.bands), f'{answer.bands.kind} band')} "
-        f"({band_ranges(answer.bands.centres_hz, everywhere)}), from {data}; "
-        f"method {answer.method}, model {answer.model}."
-    )

@@ -25,9 +25,17 @@ _CRITERIA = {
 
 def describe(design: Design) -> Blocks:
     """Return the chosen pairs, the expected intervals of every material, and all findings."""
+    n = len(design.scene.pairs) - design.n_fixed
+    before = "a finished fit" if design.after_fit else f"{design.n_fixed} measured pairs"
+    known = f", after {before}" if design.after_fit or design.n_fixed else ""
+    lead = (
+        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known}. "
+        f"Receivers at least {design.source_distance_m:.2f} m from their source and "
+        f"{design.receiver_distance_m:g} m from each other."
+    )
     title, gain = "The room with the chosen pairs", "Expected width of the intervals by pairs"
     head = (
-        Sentence(_opening(design), "lead"),
+        Sentence(lead, "lead"),
         _pairs_table(design),
         Drawing("design_map", title, "", "prediction_figures.design_map", (design,)),
         Drawing("design_gain", gain, "", "prediction_figures.design_gain", (design,)),
@@ -42,17 +50,6 @@ def draw(design: Design) -> Figure:
     from roomfit.report.prediction_figures import design_map
 
     return design_map(design)
-
-
-def _opening(design: Design) -> str:
-    n = len(design.scene.pairs) - design.n_fixed
-    before = "a finished fit" if design.after_fit else f"{design.n_fixed} measured pairs"
-    known = f", after {before}" if design.after_fit or design.n_fixed else ""
-    return (
-        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known}. "
-        f"Receivers at least {design.source_distance_m:.2f} m from their source and "
-        f"{design.receiver_distance_m:g} m from each other."
-    )
 
 
 def _pairs_table(design: Design) -> Table:

@@ -71,11 +71,7 @@ def _light(page: str) -> str:
 
 _HEADINGS = {"h1": 0, "h2": 1, "h3": 2}
 _LEFT_OUT = ("style", "nav", "svg", "input", "label")
-_TABLE_STYLE = "Light List Accent 1"
 _WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210, 297, 20  # A4
-_CELL_PT, _SMALL_PT = 8, 7
-_GREY = "6B6B6B"
-_PICTURES = {"decay": r"decay_\d+_.*"}
 _EARLIEST = (1980, 1, 1, 0, 0, 0)  # of an archive: equal reports are equal files
 
 
@@ -170,7 +166,7 @@ def _append_table(book: Any, node: Any) -> None:
     caption = book.add_paragraph(_text(node.find("caption")), style="Caption")
     caption.paragraph_format.keep_with_next = True
     (head,), body = node.iterfind("thead/tr"), node.findall("tbody/tr")
-    shown = book.add_table(1 + len(body), len(head), style=_TABLE_STYLE)
+    shown = book.add_table(1 + len(body), len(head), style="Light List Accent 1")
     for row, elements in zip(shown.rows, (head, *body), strict=True):
         cells = row.cells
         for i, (cell, element) in enumerate(zip(cells, elements, strict=False)):
@@ -195,16 +191,16 @@ def _fill(cell: Any, element: Any, *, at_right: bool) -> None:
         if i:
             run.add_break()
         run.add_text(line)
-        run.font.size = shared.Pt(_SMALL_PT if i else _CELL_PT)
+        run.font.size = shared.Pt(7 if i else 8)
         if element.get("class") == "unsure":
-            run.font.color.rgb = shared.RGBColor.from_string(_GREY)
+            run.font.color.rgb = shared.RGBColor.from_string("6B6B6B")
 
 
 def _append_figure(book: Any, node: Any, pictures: Mapping[str, bytes]) -> None:
     """Write a drawing as its picture, with its caption; the title is what is read aloud."""
     svg = next(node.iter("svg"))
     name, title = svg.get("aria-labelledby", "").removesuffix("-title"), _text(svg.find("title"))
-    pattern = _PICTURES.get(name, re.escape(name.replace("-", "_")))
+    pattern = r"decay_\d+_.*" if name == "decay" else re.escape(name.replace("-", "_"))
     found = sorted(stem for stem in pictures if re.fullmatch(pattern, stem))
     choices = node.getparent().xpath("input")
     chosen = next((i for i, one in enumerate(choices) if one.get("checked") is not None), 0)
@@ -225,13 +221,10 @@ def _append_picture(book: Any, content: bytes, title: str, width_mm: int) -> Non
     try:
         shown = line.add_run().add_picture(io.BytesIO(content), width=shared.Mm(width_mm))
     except (known.UnrecognizedImageError, known.UnexpectedEndOfFileError) as error:
-        raise InputError(
-            "a picture of the report is damaged",
-            where=title[:80],
-            found=f"{len(content)} bytes that are no PNG",
-            needed="a whole PNG",
-            hint="identify again, or remove the picture beside the report",
-        ) from error
+        what, found = "a picture of the report is damaged", f"{len(content)} bytes that are no PNG"
+        needed, hint = "a whole PNG", "identify again, or remove the picture beside the report"
+        where = title[:80]
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint) from error
     shown._inline.docPr.set("descr", title)
 
 

@@ -90,47 +90,42 @@ def _what_is_void(result: Result, found: Remaining) -> str:
 
 def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
     """Yield what is known of the mean absorption of the room, and of its decay."""
-    heads = [hertz(float(f)) for f in result.bands.centres_hz]
-    means = []
-    for value, low, high in result.mean_absorption.T.tolist():
-        bounds = f"({coefficient(low, 1.0)} to {coefficient(high, 1.0)})"
-        means.append(f"{coefficient(value, 1.0)} {bounds}")
+    centres, eyring = result.bands.centres_hz, result.eyring_absorption
+    heads = [hertz(float(f)) for f in centres]
+    means = [
+        f"{coefficient(value, 1.0)} ({coefficient(low, 1.0)} to {coefficient(high, 1.0)})"
+        for value, low, high in result.mean_absorption.T.tolist()
+    ]
     chosen = np.flatnonzero(found.mean_usable)
     if chosen.size:
         shown, more = chosen, ""
         if len(chosen) > _MOST_BANDS:  # the middle one of many
-            distance = np.abs(np.log2(result.bands.centres_hz[chosen] / 1000.0))
-            shown = chosen[[int(np.argmin(distance))]]
+            shown = chosen[[int(np.argmin(np.abs(np.log2(centres[chosen] / 1000.0))))]]
             more = f", and in {len(chosen) - 1} more bands"
         each = ", ".join(f"{means[band]} at {heads[band]}" for band in shown)
         yield f"Usable all the same: the mean absorption of the room, {each}{more}."
     left = np.flatnonzero(~found.mean_usable)
     void = [f for f in found.voids if f.code in VOID_ANY_MEAN]
     if void and left.size:
-        where = band_ranges(result.bands.centres_hz, ~found.mean_usable)
-        why = REASONS[void[0].code]
+        where, why = band_ranges(centres, ~found.mean_usable), REASONS[void[0].code]
         yield f"Not the mean at {where}: {why}, so that no decay time gives it, either."
     elif left.size:
         parts = []
         for band in left[:_MOST_BANDS]:
-            own = f"{heads[band]} {means[band]}"
-            if result.eyring_absorption is None or not np.isfinite(found.decay_error[band]):
-                parts.append(f"{own}, with nothing to compare it with")
-                continue
-            by_decay = float(result.eyring_absorption[band])
-            agrees = abs(by_decay / result.mean_absorption[0, band] - 1.0) <= _AGREE
-            word = "and" if agrees else "but"
-            parts.append(f"{own}, {word} {coefficient(by_decay, 1.0)} by Eyring")
+            beside = "with nothing to compare it with"
+            if eyring is not None and np.isfinite(found.decay_error[band]):
+                agrees = abs(eyring[band] / result.mean_absorption[0, band] - 1.0) <= _AGREE
+                word = "and" if agrees else "but"
+                beside = f"{word} {coefficient(float(eyring[band]), 1.0)} by Eyring"
+            parts.append(f"{heads[band]} {means[band]}, {beside}")
         yield (
             "With less trust, because the interval is wide or the fitted decay is not the measured "
             f"one, mean absorption beside that of the measured decay: {'; '.join(parts)}."
         )
     known = np.flatnonzero(np.isfinite(found.decay_error))[:_MOST_BANDS]
     if known.size:
-        off = ", ".join(
-            f"{number(100.0 * float(found.decay_error[j]), 0, signed=True)} % at {heads[j]}"
-            for j in known
-        )
+        errors = (number(100.0 * float(found.decay_error[j]), 0, signed=True) for j in known)
+        off = ", ".join(f"{x} % at {heads[j]}" for x, j in zip(errors, known, strict=True))
         symbol = parameter(found.decay_name).symbol
         yield f"The predicted decay is off the measured {symbol} by {off} (median over the pairs)."
 
@@ -190,15 +185,15 @@ def _disagreement(
         scatter = np.full(measured.shape, np.sqrt(np.mean(known**2)) if known.size else np.nan)
     mean, sd = mean_miss(jnd, 0.05 * np.nan_to_num(scatter))
     rms, expected = (float(np.sqrt(np.mean(x**2))) for x in (jnd, scatter))
+    needed = Cell(DASH, ("not its sign",), "missing")
     if abs(mean) > max(_AUDIBLE_JND, _BEYOND_SDS * sd):
         size, kind = number(mean * step, decimals, signed=True), "systematic"
+        if key in DECAY_SCATTER:
+            needed = _needed(answer, scene, band, 0.05 * mean)
     elif rms > 2.0 * _AUDIBLE_JND:
         size, kind = f"±{number(rms * step, decimals)}", "scatter"
     else:
         return None
-    needed = Cell(DASH, ("not its sign",), "missing")
-    if kind == "systematic" and key in DECAY_SCATTER:
-        needed = _needed(answer, scene, band, 0.05 * mean)
     head = f"{parameter(key).symbol}, {hertz(float(answer.bands.centres_hz[band]))}"
     beside = known_or(Cell(number(expected * step, decimals), (unit,)), "no others")
     return Cell(head), Cell(f"{size} {unit}", (kind,)), beside, needed
@@ -215,6 +210,6 @@ def _needed(answer: Result, scene: Scene, band: int, excess: float) -> Cell:
     needed = (value + air) * (1.0 + excess) - air
     if not 0.0 <= needed <= 1.0:
         return Cell(DASH, ("none between 0 and 1",), "missing")
-    within = "inside" if lower <= needed <= upper else "outside"
+    within, style = ("inside", "") if lower <= needed <= upper else ("outside", "worse")
     words = f"in place of {coefficient(value, 1.0)}", f"{within} its interval"
-    return Cell(coefficient(needed, 1.0), words, "" if within == "inside" else "worse")
+    return Cell(coefficient(needed, 1.0), words, style)

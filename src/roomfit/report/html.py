@@ -10,6 +10,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterable
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from typing import Any
@@ -58,18 +59,16 @@ def fragment(answer: Blocks) -> str:
 
 def _pieces(blocks: Iterable[Block]) -> Iterable[str]:
     for block in blocks:
-        if isinstance(block, Sentence) and block.kind != "note":
-            yield f"<p>{escape(block.text)}</p>"
-        elif isinstance(block, Table):
-            kind = f"roomfit {block.kind}".strip()
-            yield html_of(
-                Table(block.caption, block.columns, block.rows, block.notes, block.form, kind)
-            )
-        elif isinstance(block, Findings) and block.findings:
-            said = (f"{f.severity}: {f.sentence} [{f.code}]" for f in block.findings)
-            yield f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in said)}</ul>"
-        elif isinstance(block, Part) and block.in_text:
-            yield from _pieces(block.blocks)
+        match block:
+            case Sentence() if block.kind != "note":
+                yield f"<p>{escape(block.text)}</p>"
+            case Table():
+                yield html_of(replace(block, kind=f"roomfit {block.kind}".strip()))
+            case Findings() if block.findings:
+                said = (f"{f.severity}: {f.sentence} [{f.code}]" for f in block.findings)
+                yield f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in said)}</ul>"
+            case Part() if block.in_text:
+                yield from _pieces(block.blocks)
 
 
 def translator(language: str) -> Any:

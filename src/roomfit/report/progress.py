@@ -41,15 +41,11 @@ def remaining_s(reports: Sequence[tuple[float, float]], now_s: float) -> float |
     done = reports[-1][1] if reports else 0.0
     if now_s < _LEAST_S or not _LEAST_SHARE <= done < 1.0:
         return None
-    before_s, before = 0.0, 0.0
-    for at_s, fraction in reports:
-        if at_s > now_s / 2.0:
-            break
-        before_s, before = at_s, fraction
+    early = [report for report in reports if report[0] <= now_s / 2.0]
+    before_s, before = early[-1] if early else (0.0, 0.0)
     pace, recent = done / now_s, (done - before) / (now_s - before_s)
-    if not 1.0 / _STEADY <= recent / pace <= _STEADY:
-        return None
-    return round((1.0 - done) / recent, 6)
+    steady = 1.0 / _STEADY <= recent / pace <= _STEADY
+    return round((1.0 - done) / recent, 6) if steady else None
 
 
 def _in_words(seconds: float) -> str:
@@ -66,9 +62,8 @@ class _Stages(logging.Handler):
     def __init__(self, description: str, *, lines: bool) -> None:
         super().__init__()
         self.description, self.lines, self.stage = description, lines, ""
-        self.began = time.monotonic()
-        self.reports: list[tuple[float, float]] = []
-        self.wrote_s = 0.0
+        self.began, self.wrote_s = time.monotonic(), 0.0
+        self.reports: list[tuple[float, float]] = [(0.0, 0.0)]
 
     def seconds(self) -> float:
         return time.monotonic() - self.began
@@ -81,31 +76,40 @@ class _Stages(logging.Handler):
             self.stage = text
         if self.lines or record.levelno != logging.INFO:
             cleared = "" if self.lines else f"\r{'':{_width()}}\r"
-            self.write(f"{cleared}{_clock(self.seconds())}  {text}")
+            self.write(f"{cleared}{_clock(self.seconds())}  {text}\n")
 
-    def write(self, line: str) -> None:
-        """Write a line; one that nobody reads stops no job."""
+    def write(self, text: str) -> None:
+        """Write a text; one that nobody reads stops no job."""
         self.wrote_s = self.seconds()
         with suppress(OSError, ValueError):
-            sys.stderr.write(f"{line}\n")
+            sys.stderr.write(text)
             sys.stderr.flush()
 
     def report(self, fraction: float) -> None:
         """Keep how much is done; in a log write it where no stage was written for a while."""
-        if not self.reports or fraction > self.share():
-            self.reports.append((self.seconds(), min(max(fraction, 0.0), 1.0)))
+        if fraction > self.reports[-1][1]:
+            self.reports.append((self.seconds(), min(fraction, 1.0)))
             if self.lines and self.seconds() - self.wrote_s >= _LEAST_S:
-                self.write(self.text())
-
-    def share(self) -> float:
-        return self.reports[-1][1] if self.reports else 0.0
+                self.write(f"{self.text()}\n")
 
     def text(self) -> str:
-        now_s, done = self.seconds(), self.share()
+        now_s, done = self.seconds(), self.reports[-1][1]
         left_s = remaining_s(self.reports, now_s)
         left = "" if left_s is None else f", {_in_words(left_s)}"
         stage = f": {self.stage}" if self.stage else ""
         return f"{100 * done:3.0f} %  {_clock(now_s)}  {self.description}{stage}{left}"
+
+    def draw(self, ended: threading.Event, bar: Any) -> None:
+        """Draw again and again, by a thread, so that the clock moves during a long step, too."""
+        while not ended.wait(_EVERY_S):
+            if bar is None:
+                self.write(f"\r{self.text()[: _width()]:<{_width()}}")
+            else:
+                bar.value, bar.description = self.reports[-1][1], self.text()
+        if bar is None:
+            self.write(f"\r{'':{_width()}}\r")
+        else:
+            bar.close()
 
 
 def _clock(seconds: float) -> str:
@@ -143,12 +147,12 @@ def shown_progress(description: str) -> Iterator[Progress]:
     cell = shell.get_ipython() if shell is not None else None
     notebook = getattr(cell, "kernel", None) is not None
     stages = _Stages(description, lines=not (notebook or sys.stderr.isatty()))
-    ended, draw = threading.Event(), None
+    ended, threads = threading.Event(), []
     if not stages.lines:
-        # by a thread, so that the clock moves during a long step, too
-        of = stages, _bar() if notebook else None, ended
-        draw = threading.Thread(target=_drawn, args=of, name="progress", daemon=True)
-        draw.start()
+        of = ended, _bar() if notebook else None
+        threads = [threading.Thread(target=stages.draw, args=of, name="progress", daemon=True)]
+    for thread in threads:
+        thread.start()
     logger.addHandler(stages)
     try:
         yield stages.report
@@ -156,26 +160,8 @@ def shown_progress(description: str) -> Iterator[Progress]:
         logger.removeHandler(stages)
         logger.setLevel(before)
         ended.set()
-        if draw is not None:
-            draw.join()
-
-
-def _drawn(stages: _Stages, bar: Any, ended: threading.Event) -> None:
-    while not ended.wait(_EVERY_S):
-        if bar is not None:
-            bar.value, bar.description = stages.share(), stages.text()
-        else:
-            _redraw(stages.text())
-    if bar is not None:
-        bar.close()
-    else:
-        _redraw("")
-
-
-def _redraw(line: str) -> None:
-    width = _width()
-    sys.stderr.write(f"\r{line[:width]:<{width}}" + "\r" * (not line))
-    sys.stderr.flush()
+        for thread in threads:
+            thread.join()
 
 
 def _bar() -> Any:

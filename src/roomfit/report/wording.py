@@ -148,8 +148,7 @@ class Series(NamedTuple):
 
     def mid_s(self, centres_hz: FloatArray) -> tuple[float, float, float]:
         """Return the mean at mid frequencies, and its bounds, NaN where a band of it has none."""
-        own = _mid_bands(centres_hz, self.values_s)
-        bounds = (self.lower95_s, self.upper95_s)
+        own, bounds = _mid_bands(centres_hz, self.values_s), (self.lower95_s, self.upper95_s)
         low, high = (np.nan if b is None or not own.any() else float(b[own].mean()) for b in bounds)
         return mid_mean(centres_hz, self.values_s), low, high
 
@@ -169,11 +168,10 @@ def mid_mean(centres_hz: FloatArray, values: FloatArray) -> float:
 def _mid_bands(centres_hz: FloatArray, values: FloatArray) -> BoolArray:
     """Return which bands `mid_mean` is of, shape (n_bands,); none where no value is known."""
     known = np.isfinite(values)
-    own = known & np.isin(centres_hz, MID_HZ)
-    if own.any() or not known.any():
-        return own
-    distance = np.where(known, np.abs(np.log(centres_hz / 700.0)), np.inf)
-    return np.asarray(np.arange(len(values)) == np.argmin(distance))
+    own = np.asarray(known & np.isin(centres_hz, MID_HZ))
+    if known.any() and not own.any():
+        own[np.argmin(np.where(known, np.abs(np.log(centres_hz / 700.0)), np.inf))] = True
+    return own
 
 
 def mid_words(centres_hz: FloatArray) -> str:
