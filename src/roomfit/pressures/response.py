@@ -71,29 +71,27 @@ def grid_impulses(
     first: int,
     last: int,
     offsets: IntArray,
-    row: IntArray,
-    away: FloatArray,
-    image_transform: RealArray,
-    hits: IntArray,
-    root: FloatArray,
+    images: tuple[Any, ...],
+    heights: FloatArray,
     shifts: FloatArray,
-    speed: float,
-    latency: FloatArray,
-    delays: FloatArray,
-    first_s: float,
-    rate_hz: float,
-    table: FloatArray,
+    times: tuple[Any, ...],
+    onto: tuple[Any, ...],
     impulses: RealArray,
 ) -> None:
-    """Add every path's impulse, times its derivatives, to the grids of its observation.
+    """Add every path's impulses to the grids of its observation; of some observations, for threads.
 
-    Of some observations, for threads.
+    Impulses of the given heights, then, where the grids have more columns and one height is given,
+    of its derivatives: hits, source, receiver and ln c.
 
-    Shapes: `offsets` (n_observations + 1,), `row` (n_paths,), `away` (n_rows, 3), `image_transform`
-    (n_rows, 9), `shifts` (n_observations, 6), `table` (TABLE_STEPS + 2, TAPS), `impulses`
-    (n_observations, n_grid, 8 + n_materials or more), or (.., .., 1).
+    Shapes: `offsets` (n_observations + 1,), `heights` (n_paths, n_heights), `shifts`
+    (n_observations, 6), `impulses` (n_observations, n_grid, n_heights or 8 + n_materials or more).
+    `images` are row (n_paths,), away (n_rows, 3), transform (n_rows, 9) and hits; `times` speed,
+    latencies and delays; `onto` first time, rate and table (TABLE_STEPS + 2, TAPS) of the grid.
     """
-    n_materials = hits.shape[1]
+    row, away, image_transform, hits = images
+    speed, latency, delays = times
+    first_s, rate_hz, table = onto
+    n_materials, n_heights = hits.shape[1], heights.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     slowness = 1.0 / speed
     for o in range(first, last):
@@ -104,33 +102,28 @@ def grid_impulses(
         for i in range(offsets[o], offsets[o + 1]):
             at = row[i]
             a = image_transform[at]
-            v0 = away[at, 0] + shifts[o, 3]
-            v1 = away[at, 1] + shifts[o, 4]
-            v2 = away[at, 2] + shifts[o, 5]
             s0, s1, s2 = shifts[o, 0], shifts[o, 1], shifts[o, 2]
-            v0 -= a[0] * s0 + a[1] * s1 + a[2] * s2
-            v1 -= a[3] * s0 + a[4] * s1 + a[5] * s2
-            v2 -= a[6] * s0 + a[7] * s1 + a[8] * s2
+            v0 = away[at, 0] + shifts[o, 3] - (a[0] * s0 + a[1] * s1 + a[2] * s2)
+            v1 = away[at, 1] + shifts[o, 4] - (a[3] * s0 + a[4] * s1 + a[5] * s2)
+            v2 = away[at, 2] + shifts[o, 5] - (a[6] * s0 + a[7] * s1 + a[8] * s2)
             square = v0 * v0 + v1 * v1 + v2 * v2
             d = math.sqrt(square)
             t = d * slowness + latency[o]
-            s = root[i]
-            values[0] = s
             for m in range(n_materials):
-                h = hits[at, m]
-                t += h * delays[m]
-                values[1 + m] = h * s
-            if n_columns > 1:
+                t += hits[at, m] * delays[m]
+            for j in range(n_heights):
+                values[j] = heights[i, j]
+            if n_columns > n_heights:
+                for m in range(n_materials):
+                    values[1 + m] = hits[at, m] * heights[i, 0]
                 k = 1 + n_materials
-                u = s * slowness / d
+                u = heights[i, 0] * slowness / d
+                values[k + 6] = u * square
                 v0, v1, v2 = u * v0, u * v1, u * v2
                 values[k] = a[0] * v0 + a[3] * v1 + a[6] * v2
                 values[k + 1] = a[1] * v0 + a[4] * v1 + a[7] * v2
                 values[k + 2] = a[2] * v0 + a[5] * v1 + a[8] * v2
-                values[k + 3] = v0
-                values[k + 4] = v1
-                values[k + 5] = v2
-                values[k + 6] = u * square
+                values[k + 3], values[k + 4], values[k + 5] = v0, v1, v2
             place = (t - first_s) * rate_hz
             behind = math.floor(place)
             low = behind - TAPS // 2 + 1
@@ -142,9 +135,9 @@ def grid_impulses(
             inside = low >= 0 and low + TAPS <= n_grid
             for tap in range(TAPS):
                 g = low + tap if inside else (low + tap) % n_grid
-                cell, times = own[g], height[tap]
+                cell, times_height = own[g], height[tap]
                 for j in range(n_columns):
-                    cell[j] += times * values[j]
+                    cell[j] += times_height * values[j]
 
 
 @kernel()
@@ -450,39 +443,44 @@ def _pressures(
     n_materials = len(paths.materials)
     n_columns = 8 + n_materials if derivative else 1
     filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
-    first, last = observations.start, observations.stop
-    impulses: Any = np.zeros((last - first, grid.n, filled), dtype=grid.real)
-    in_threads(
-        grid_impulses,
-        last - first,
-        paths.offsets[first : last + 1],
-        paths.row,
-        paths.image_to_receiver_m,
-        paths.image_transform,
-        paths.hits,
-        roots,
-        times.shifts_m[observations],
-        times.speed_m_s,
-        times.latency_s[observations],
-        times.delays_s,
-        grid.first_s,
-        grid.rate_hz,
-        grid.table,
-        impulses,
-    )
-    columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
+    columns = _gridded(paths, observations, roots[:, None], times, grid, filled)[:, :n_columns]
     workers = min(numba.get_num_threads(), 2)
     transfer, slope = (
         grid.filter.astype(grid.real),
         grid.slope.astype(np.result_type(grid.real, np.complex64)),
     )
-    spectra = fft.rfft(columns, axis=-1, workers=workers)
+    spectra = fft.rfft(np.ascontiguousarray(columns), axis=-1, workers=workers)
     pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
     if not derivative:
-        return pressure, np.zeros((last - first, 0, grid.n), dtype=grid.real)
+        return pressure, np.zeros((len(pressure), 0, grid.n), dtype=grid.real)
     level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=workers)
     moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=workers)
     return pressure, np.concatenate((level, moved), axis=1)
+
+
+def _gridded(
+    paths: ImagePaths,
+    observations: slice,
+    heights: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    n_columns: int,
+) -> RealArray:
+    """Return the impulses of some observations on the grid, (n, n_columns, n_grid)."""
+    first, last = observations.start, observations.stop
+    impulses: Any = np.zeros((last - first, grid.n, n_columns), dtype=grid.real)
+    in_threads(
+        grid_impulses,
+        last - first,
+        paths.offsets[first : last + 1],
+        (paths.row, paths.image_to_receiver_m, paths.image_transform, paths.hits),
+        heights,
+        times.shifts_m[observations],
+        (times.speed_m_s, times.latency_s[observations], times.delays_s),
+        (grid.first_s, grid.rate_hz, grid.table),
+        impulses,
+    )
+    return np.asarray(np.swapaxes(impulses, 1, 2))
 
 
 def integrated_products(
@@ -585,61 +583,9 @@ def coherent_slopes(
     images, amplitude, slope = directed
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
-    impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
-    rows = images.image_to_receiver_m, images.image_transform, images.hits
-    moved_by = times.shifts_m, times.speed_m_s, times.latency_s, times.delays_s
-    onto = grid.first_s, grid.rate_hz, grid.table, impulses
-    paths = images.offsets, images.row, *rows, heights
-    in_threads(grid_directed_impulses, len(edges_s), *paths, *moved_by, *onto)
+    impulses = _gridded(images, slice(0, len(edges_s)), heights, times, grid, 4)
     workers = min(numba.get_num_threads(), 2)
     spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=workers)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
     return integrated_products(own, moved, grid, edges_s)[1]
-
-
-@kernel(allocates=False)
-def grid_directed_impulses(
-    first: int,
-    last: int,
-    offsets: IntArray,
-    row: IntArray,
-    away: FloatArray,
-    image_transform: RealArray,
-    hits: IntArray,
-    heights: FloatArray,
-    shifts: FloatArray,
-    speed: float,
-    latency: FloatArray,
-    delays: FloatArray,
-    first_s: float,
-    rate_hz: float,
-    table: FloatArray,
-    impulses: RealArray,
-) -> None:
-    """Add impulses of several heights at each path's time to the grids of some observations.
-
-    Shapes: `heights` (n_paths, n_columns), `impulses` (n_observations, n_columns, n_grid).
-    """
-    n_grid = impulses.shape[2]
-    for o in range(first, last):
-        own, s = impulses[o], shifts[o]
-        for i in range(offsets[o], offsets[o + 1]):
-            at, square, late = row[i], 0.0, latency[o]
-            for k in range(3):
-                along = away[at, k] + s[3 + k]
-                for j in range(3):
-                    along -= image_transform[at, 3 * k + j] * s[j]
-                square += along * along
-            for m in range(hits.shape[1]):
-                late += hits[at, m] * delays[m]
-            place = (math.sqrt(square) / speed + late - first_s) * rate_hz
-            behind = int(np.floor(place))
-            share = (place - behind) * TABLE_STEPS
-            step = int(share)
-            share -= step
-            for tap in range(TAPS):
-                height = table[step, tap] + share * (table[step + 1, tap] - table[step, tap])
-                g = (behind - TAPS // 2 + 1 + tap) % n_grid
-                for j in range(heights.shape[1]):
-                    own[j, g] += height * heights[i, j]
