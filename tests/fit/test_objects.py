@@ -31,7 +31,8 @@ from roomfit.model.problem import Objective
 from roomfit.predict.changes import read_change
 from roomfit.predict.predict import predict
 from roomfit.predict.question import Question
-from roomfit.pressures.data_term import coherent_term, with_coherence
+from roomfit.pressures.bands import coherent_term
+from roomfit.pressures.data_term import with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.pressures.response import image_paths
 from roomfit.result import Result, absorption_posterior

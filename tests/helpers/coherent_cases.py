@@ -15,7 +15,8 @@ from roomfit.model.energy import EnergyTerm, Observation, fine_edges_s, in_air
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.problem import Objective
 from roomfit.model.windows import window_edges_s
-from roomfit.pressures.data_term import CoherentTerm, coherent_term
+from roomfit.pressures.bands import coherent_term
+from roomfit.pressures.data_term import CoherentTerm
 from roomfit.pressures.geometry import Geometry, geometry_block
 from roomfit.pressures.response import image_paths
 from roomfit.room.mesh import shoebox_mesh

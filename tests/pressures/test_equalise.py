@@ -17,7 +17,7 @@ from roomfit.files.inputs import read_measurements
 from roomfit.files.rooms import read_room
 from roomfit.fit.measurements import observe
 from roomfit.materials.priors import uniform_scattering
-from roomfit.pressures.equalise import equalise_sources
+from roomfit.pressures.initial import equalise_sources
 from roomfit.room.scene import Scene
 from roomfit.signals.measurement import Measurement
 from roomfit.tracing.image_sources import trace_images

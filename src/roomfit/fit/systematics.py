@@ -21,7 +21,7 @@ from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.energy import EnergyTerm, parts_of
 from roomfit.model.parameters import Parameters, physical_values
-from roomfit.model.problem import Objective, Prediction
+from roomfit.model.problem import Objective
 from roomfit.model.weighing import directed_rows, weigh
 from roomfit.solver import BandFit
 from roomfit.tracing.paths import Paths
@@ -111,21 +111,19 @@ def effect_on_answer(
     fit: BandFit,
     shared: Mapping[str, FloatArray],
     areas_m2: FloatArray,
-    there: Prediction | None = None,
 ) -> SharedErrors:
     """Return what the errors that a fit's windows share do to its answer [1]_.
 
     Its shifts by these `shared_errors` (`roomfit.uncertainty.gaussian.answer_steps`), of the rate
     of decay kept apart; and how well the unknowns, and the mean of a room with such areas of its
-    materials, were known without one term or the other. `there` is the fit's prediction, where it
-    is known.
+    materials, were known without one term or the other.
 
     References
     ----------
     .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
            section 3: the delete-one variance of an estimate, here linearised.
     """
-    jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
+    jacobian = objective.predict(fit.vector).jacobian
     rate = decay_rate(objective, fit, jacobian, shared["decay"])
     shared = {name: errors for name, errors in shared.items() if name != "decay"}
     costs = costs_of_terms(objective, fit, jacobian, shared, areas_m2)

@@ -3,54 +3,25 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray, Progress, part
-from roomfit.fit.bands import fitted_band, other_terms
-from roomfit.fit.directivity import (
-    band_directivities,
-    directivity_parameters,
-    is_fittable,
-    omnidirectional,
-)
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
-from roomfit.fit.scattering import band_factors
-from roomfit.fit.systematics import inflated_by_adjacent_bands
-from roomfit.fit.trace_plan import has_every_order, images_until_s, in_lattice, traced_s
-from roomfit.materials.priors import MaterialPrior, Scattering
-from roomfit.model.binned import BinnedPaths, bin_paths
-from roomfit.model.room_parameters import without_responses
-from roomfit.pressures.fit import (
-    CoherentFit,
-    Retrace,
-    State,
-    coherent_estimate,
-    contradicted_position_sd_scale,
-    energy_estimates,
-    fit_coherent,
-    initialise,
-    with_sources_examined,
-)
-from roomfit.pressures.geometry import prior_speed_sd
-from roomfit.pressures.sequential import (
-    TELLING_HZ,
-    UNDECIDED,
-    forward_pass,
-    log_evidences,
-)
-from roomfit.room.scene import Scene, select_pairs
+from roomfit.fit.trace_plan import has_every_order, images_until_s, traced_s
+from roomfit.materials.priors import MaterialPrior
+from roomfit.pressures.answers import coherent_answers
+from roomfit.pressures.fit import contradicted_position_sd_scale, fit_coherent
+from roomfit.pressures.initial import initialise, with_sources_examined
+from roomfit.pressures.sequential import TELLING_HZ, UNDECIDED, forward_pass, log_evidences
+from roomfit.pressures.state import retracing, unfitted
+from roomfit.room.scene import select_pairs
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
-from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths, concatenate, select
-from roomfit.uncertainty.gaussian import BandEstimate, Refine
-from roomfit.uncertainty.intervals import with_both_intervals
+from roomfit.uncertainty.gaussian import Refine
 
 _LOG = logging.getLogger("roomfit")
 
@@ -88,71 +59,9 @@ def fit_by_pressures(
     return traced, fits
 
 
-def unfitted(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    traced: TracedPaths,
-    start: FloatArray,
-    settings: Settings,
-    retrace: Retrace | None = None,
-) -> State:
-    """Return what is to be fitted by partly coherent image sources, nothing of it yet."""
-    unknown, until_s = directivity_parameters(measured, settings), traced.settings.image_until_s
-    # what is left in a smooth box travels between two hard walls along paths that few rays find
-    smooth = not np.any(traced.paths.sampling_scattering)
-    ends = until_s and smooth and in_lattice(measured.scene.room, settings)
-    return State(
-        measured.scene,
-        measured.bands,
-        priors,
-        measured.responses,
-        start,
-        settings,
-        prior_speed_sd(measured.scene.air, settings),
-        until_s if until_s and ends else np.inf,
-        other_terms(measured, traced),
-        unknown,
-        omnidirectional(measured) if unknown is None else None,
-        is_fittable(measured, settings),
-        (traced.scattering, traced.scattering_sd),
-        retrace,
-        traced.paths,
-        traced.factors,
-        traced.binned,
-    )
-
-
-def retracing(measured: Measurements, traced: TracedPaths) -> Retrace | None:
-    """Return what finds the image sources of moved points, with the rays of the first trace.
-
-    None where all images stay, as in a box, or too few are known.
-    """
-    settings, bands = traced.settings, measured.bands
-    until_s = settings.image_until_s
-    if not settings.n_rays:
-        until_s = until_s or settings.duration_s
-    # of a box with one surface a wall, images strike the same walls wherever the points move
-    if until_s is None or measured.scene.room.shoebox_m is not None:
-        return None
-    rays = select(traced.paths, traced.paths.batch >= 0)
-    scattering = Scattering(rays.materials, rays.sampling_scattering)
-
-    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
-        images = trace_images(
-            moved, settings.image_order, until_s, scattering, with_image_transforms=True
-        )
-        both = concatenate([images, rays])
-        factors, _ = band_factors(measured.directivities, moved, bands, both, traced.scattering)
-        return both, factors, bin_paths(moved, bands, both, settings.duration_s, factors)
-
-    return again
-
-
 # The trial of pressures: how many responses at most, and how far apart its two bands are; rays a
 # source and images a pair at most, the latter .14 s of 70 m3.
 _TRIED_RESPONSES, _TRIED_OCTAVES = 8, 2.0
-
-
 _TRIED_PATHS = {
     "n_rays": 10_000,
     "n_rays_beside_images": 10_000,
@@ -222,55 +131,3 @@ def _few(measured: Measurements, chosen: BoolArray) -> Measurements:
         responses.append(replace(m, pair=int(np.searchsorted(pairs, m.pair)), noise=noise))
     scene = select_pairs(measured.scene, pairs)
     return replace(measured, scene=scene, responses=tuple(responses), values=())
-
-
-def coherent_answers(
-    fit: CoherentFit, settings: Settings, refine: Refine, progress: Progress | None
-) -> BandFits:
-    """Return each band's estimate by partly coherent image sources where they explain it."""
-    state, n = fit.state, len(fit.fits)
-    by_energies = energy_estimates(fit)
-
-    def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
-        pressures, energies = coherent_estimate(fit, b), by_energies(b)
-        return (
-            None if pressures is None else refine(pressures),
-            None if energies is None else refine(energies),
-        )
-
-    coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
-    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, state.priors))
-
-    # where no response has data, room parameters or the prior
-    def rest(b: int) -> BandEstimate:
-        alone = without_responses(state.others[b], state.priors, b, state.start)
-        done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
-        return refine(fitted_band(b, alone, state.priors, settings, done))
-
-    missing = [b for b, e in enumerate(chosen) if e is None]
-    others = dict(zip(missing, in_forks(rest, missing), strict=True))
-    each = [others[b] if e is None else e for b, e in enumerate(chosen)]
-    estimates = tuple(each)
-    directivities = tuple(None if b is None else b.directivity for b in state.each)
-    found = band_directivities(state.scene, state.directivity_parameters, directivities, estimates)
-    unknown = state.directivity_parameters
-    return BandFits(estimates, fit.geometry, found, unknown, fit.contradicted, fit.tests)
-
-
-def decided(
-    fit: CoherentFit,
-    energy: Sequence[BandEstimate | None],
-    coherent: Sequence[BandEstimate | None],
-) -> tuple[BandEstimate | None, ...]:
-    """Return each band's estimate by the model of larger evidence, None without data.
-
-    With both intervals where evidence cannot decide.
-    """
-    chosen: list[BandEstimate | None] = []
-    for plain, added, (a, b) in zip(energy, coherent, fit.log_evidences, strict=True):
-        if added is None or plain is None or fit.state.settings.model == "coherent":
-            chosen.append(plain if added is None else added)
-            continue
-        best, other = (added, plain) if b > a else (plain, added)
-        chosen.append(best if abs(b - a) >= UNDECIDED else with_both_intervals(best, other))
-    return tuple(chosen)

@@ -12,10 +12,8 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from roomfit.base.bands import Bands
 from roomfit.base.kernels import each_in_threads, in_threads
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.model.binned import BinnedPaths, in_band, regrouped
 from roomfit.model.energy import (
     PATTERN,
     WINDOWS_PER_INDEPENDENT_ONE,
@@ -23,7 +21,6 @@ from roomfit.model.energy import (
     Observation,
     Weighed,
     end_to_end,
-    first_windows,
     noise_and_model_variance,
     observation_variance,
     weighed,
@@ -31,7 +28,7 @@ from roomfit.model.energy import (
 from roomfit.model.parameters import GEOMETRY
 from roomfit.model.problem import DataTerm, Rows, Values
 from roomfit.model.pulses import BandGrid, band_grid
-from roomfit.model.weighing import ROWS_WORTH_THREADS, RowBasis, first_rows, shared_zeros
+from roomfit.model.weighing import ROWS_WORTH_THREADS, RowBasis
 from roomfit.model.windows import squares_in_windows, with_squares
 from roomfit.pressures.geometry import Geometry, local_roots, times_of
 from roomfit.pressures.response import (
@@ -356,49 +353,3 @@ def _early_variance(
         "rays": gain**2 * tracing,
         **noise_and_model_variance(term.energies, observed, signal),
     }
-
-
-def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
-    """Return the bins that end by a time, with their rows."""
-    n = max(int(np.searchsorted(binned.edges_s, end_s + 1e-9, side="right")) - 1, 1)
-    if n >= binned.edges_s.size - 1:
-        return binned
-    return regrouped(binned, binned.edges_s[: n + 1], lambda rows: first_rows(rows, n))
-
-
-def coherent_term(
-    bands: Bands,
-    band: int,
-    energies: EnergyTerm,
-    attenuation_per_m: float,
-    images: ImagePaths,
-    binned: BinnedPaths,
-    geometry: Geometry,
-    end_s: float = np.inf,
-) -> CoherentTerm:
-    """Return the partly coherent windows of a band from the same as energies, not coherent yet."""
-    observed = tuple(first_windows(o, end_s) for o in energies.observations)
-    c = geometry.speed_m_s
-    one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-    first = min(float(o.edges_s[0]) for o in observed)
-    last = max(float(o.edges_s[-1]) for o in observed)
-    grid = band_grid(one, first, last)
-    length_m = images.lengths_m()
-    near = length_m <= c * (last + RINGING_PERIODS / energies.centre_hz)
-    weight = images.weight * np.exp(-attenuation_per_m * length_m)
-    images, travel = chosen_paths(replace(images, weight=weight), near), length_m[near] / c
-    bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
-    bins = (np.searchsorted(bin_edges_s, travel, side="right") - 1).astype(np.int32)
-    n_bins = [o.spreading.shape[1] for o in observed]
-    bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
-    nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
-    return CoherentTerm(
-        energies,
-        observed,
-        geometry,
-        replace(images, coherence=shared_zeros(travel.size)),
-        nothing,
-        bins,
-        np.zeros(0, dtype=np.int32),
-        grid,
-    )

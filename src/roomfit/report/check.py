@@ -10,12 +10,7 @@ import numpy as np
 
 from roomfit.base.logit import Z95, expit
 from roomfit.base.table import Cell, Column, Table, Value, text_of
-from roomfit.materials.catalogue import (
-    OCTAVES_HZ,
-    CatalogueEntry,
-    find_material,
-    search_catalogue,
-)
+from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry, find_material, search_catalogue
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence, Terms
 from roomfit.report.wording import short_hertz
 

@@ -14,15 +14,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.encoding import finding_of
 from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
 from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
-from roomfit.report.blocks import (
-    Block,
-    Blocks,
-    Drawing,
-    Findings,
-    Numbers,
-    Part,
-    Sentence,
-)
+from roomfit.report.blocks import Block, Blocks, Drawing, Findings, Numbers, Part, Sentence
 from roomfit.report.tables import bounded_cells
 from roomfit.report.wording import (
     DASH,

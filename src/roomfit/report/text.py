@@ -7,16 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Table, text_of
-from roomfit.report.blocks import (
-    Block,
-    Blocks,
-    Findings,
-    Listed,
-    Numbers,
-    Part,
-    Sentence,
-    Terms,
-)
+from roomfit.report.blocks import Block, Blocks, Findings, Listed, Numbers, Part, Sentence, Terms
 
 _WIDTH = 100
 _MOST_SENTENCES = 12
