@@ -13,6 +13,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.fit.bands import other_terms
 from roomfit.fit.directivity import (
     SourceGain,
+    directivities_under_cavity_priors,
     directivity_parameters,
     is_fittable,
     moved_start,
