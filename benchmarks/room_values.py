@@ -30,7 +30,7 @@ from roomfit.base.bands import bands_between
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import read_measurements
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+from roomfit.files.schema import PolygonSpec, RoomSpec
 from roomfit.files.values import read_parameters
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.compare import compared_values
@@ -107,8 +107,8 @@ def seminar_room(folder: Path) -> Case:
 def studio(folder: Path, *, closed: bool = False) -> Case:
     """Return PTB's studio of phase 3, with its curtains open or closed."""
     spec = PolygonSpec(
-        (folder / "corners.csv", folder / "corners_phase3.csv"),
-        (folder / "planes.csv",),
+        corners=(folder / "corners.csv", folder / "corners_phase3.csv"),
+        planes=(folder / "planes.csv",),
         replace={"10": folder / "planes_wood_absorbers.csv", "25": folder / "planes_ceiling.csv"},
         drop=tuple(range(351, 357)) if closed else (301, 391),
     )

@@ -29,10 +29,9 @@ if TYPE_CHECKING:
     from roomfit.files.inputs import load_campaign
     from roomfit.files.questions import question_of
     from roomfit.files.responses import read_response
-    from roomfit.files.responses.recordings import ResponseSpec
     from roomfit.files.results import read_result, write_result
     from roomfit.files.rooms import read_room
-    from roomfit.files.rooms.model import RoomSpec
+    from roomfit.files.schema import ResponseSpec, RoomSpec
     from roomfit.files.values import read_parameters
     from roomfit.fit.traced_room import TracedRoom
     from roomfit.identify import identify
@@ -178,17 +177,17 @@ _HOME = {
     "question_of": "files.questions",
     "read_campaign": "files.campaign",
     "read_change": "predict.changes",
-    "read_parameters": "files.iso3382",
+    "read_parameters": "files.values",
     "read_response": "files.responses",
     "read_result": "files.results",
     "read_room": "files.rooms",
     "report_html": "report.answer",
-    "ResponseSpec": "files.responses.recordings",
+    "ResponseSpec": "files.schema",
     "Result": "result",
     "Room": "room.scene",
     "RoomfitError": "base.errors",
     "RoomObject": "room.scene",
-    "RoomSpec": "files.rooms.model",
+    "RoomSpec": "files.schema",
     "Scene": "room.scene",
     "scene_of": "room.scene",
     "Settings": "settings",

@@ -25,7 +25,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.edits import apply, preview
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from scans import HEIGHT_M, furniture, scan, scan_usdz
 
 

@@ -12,7 +12,7 @@ from roomfit.base.findings import Code
 from roomfit.checks.walls import outline_findings
 from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.room.scene import Point, Scene
 from roomfit.signals.response import ImpulseResponse, echo_prominence
 

@@ -12,7 +12,7 @@ from images_reference import their_images
 from roomfit.demo.boxes import SyntheticBox, box_images, pressure_response
 from roomfit.files.campaign import read_campaign
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.room.mesh import volume_m3
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.polyhedra import (

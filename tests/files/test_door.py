@@ -18,10 +18,9 @@ from roomfit.files.directivity import read_directivity
 from roomfit.files.encoding import one_line
 from roomfit.files.exports import catt_text
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.results import read_materials
 from roomfit.files.rooms import read_mesh
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import ResponseSpec, RoomSpec
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices of POSIX")
 

@@ -18,7 +18,7 @@ from roomfit.files.draft import (
 )
 from roomfit.files.file_names import matching_files
 from roomfit.files.rooms import read_model
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.files.values import read_positions
 from roomfit.formats.model import METRES_PER_UNIT
 from small_campaign import (

@@ -15,8 +15,8 @@ import soundfile
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sofa import read_sofa_variables
+from roomfit.files.schema import ResponseSpec
 from roomfit.formats.hdf5 import mat_variables
 
 RATE_HZ = 8000

@@ -11,7 +11,7 @@ import scipy.io
 
 from roomfit.base.errors import InputError
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.schema import ResponseSpec
 from roomfit.formats.hdf5 import mat_variables
 
 DATA = Path(scipy.io.__file__).parent / "matlab/tests/data"

@@ -14,7 +14,8 @@ import soundfile
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec, band_of, regularised_quotient
+from roomfit.files.responses.recordings import band_of, regularised_quotient
+from roomfit.files.schema import ResponseSpec
 from roomfit.signals.response import ImpulseResponse, times_s
 
 RATE_HZ = 24000

@@ -13,7 +13,7 @@ from box_files import POINTS
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.rooms import read_mesh, read_room
-from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+from roomfit.files.schema import PolygonSpec, RoomSpec
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import material_areas, material_areas_m2
 
@@ -157,8 +157,8 @@ def l_tables(folder: Path) -> PolygonSpec:
         area = 7.0 if i < 2 else 48.0
         planes.append(f"{i + 10},{material},{area if i < 2 else ''},{row},, see photo")
     return PolygonSpec(
-        (write(folder, "corners.csv", "\r\n".join(corners)),),
-        (write(folder, "planes.csv", "\r\n".join(planes)),),
+        corners=(write(folder, "corners.csv", "\r\n".join(corners)),),
+        planes=(write(folder, "planes.csv", "\r\n".join(planes)),),
     )
 
 
@@ -183,9 +183,9 @@ def test_a_sheet_is_double_sided_by_words_or_by_a_column(tmp_path, sheet):
     """Its area counts twice, and the volume is that of the room without it."""
     tables = l_tables(tmp_path)
     planes = (*tables.planes, write(tmp_path, "sheet.csv", sheet))
-    mesh, _ = read_mesh(RoomSpec(polygons=PolygonSpec(tables.corners, planes)))
+    mesh, _ = read_mesh(RoomSpec(polygons=PolygonSpec(corners=tables.corners, planes=planes)))
     alone = 0.5 * material_areas(mesh, {})["cloth"]
-    once = PolygonSpec(tables.corners, planes, sides={"90": 1})
+    once = PolygonSpec(corners=tables.corners, planes=planes, sides={"90": 1})
     one_sided, _ = read_mesh(RoomSpec(polygons=once))
     assert alone == pytest.approx(material_areas(one_sided, {})["cloth"])
     assert volume_m3(mesh) == pytest.approx(21.0)
@@ -198,7 +198,7 @@ def test_names_that_the_campaign_maps_are_not_called_alike(tmp_path, materials):
     first = FACES[0][0]
     sheet = tables.planes[0].read_text().replace(f"10,{first},", "10,oak,", 1)
     sheet = sheet.replace(f"11,{FACES[1][0]},", "11,oak_,", 1)
-    alike = PolygonSpec(tables.corners, (write(tmp_path, "alike.csv", sheet),))
+    alike = PolygonSpec(corners=tables.corners, planes=(write(tmp_path, "alike.csv", sheet),))
     _, findings = read_mesh(RoomSpec(polygons=alike, materials=materials))
     said = [f for f in findings if f.code is Code.MATERIAL_NAMES_SIMILAR]
     assert len(said) == (not materials)
@@ -221,7 +221,7 @@ def test_a_list_of_planes_needs_no_areas(tmp_path):
     rows = [f"{i + 1},{x},{y},{z}" for i, (x, y, z) in enumerate(POINTS)]
     corners = write(tmp_path, "c.csv", "\n".join(["CORNERS,,,", "Number,x,y,z", *rows]))
     planes = write(tmp_path, "p.csv", PLANES)
-    room, findings = read_room(RoomSpec(polygons=PolygonSpec((corners,), (planes,))))
+    room, findings = read_room(RoomSpec(polygons=PolygonSpec(corners=(corners,), planes=(planes,))))
     assert volume_m3(room.mesh) == pytest.approx(60.0)
     areas = dict(zip(room.materials, material_areas_m2(room), strict=True))
     assert areas == pytest.approx({"parquet": 20.0, "plaster": 20.0 + 54.0})
@@ -236,8 +236,8 @@ def test_tables_can_be_patched_by_later_ones(tmp_path):
     later = "number,x,y,z\n7,4,0,3.005\n"
     sheet = "plane no.,description,,corners\n90,curtain,,1,2,8,7,Double sided\n"
     patched = PolygonSpec(
-        (*tables.corners, write(tmp_path, "later.csv", later)),
-        (*tables.planes, write(tmp_path, "sheet.csv", sheet)),
+        corners=(*tables.corners, write(tmp_path, "later.csv", later)),
+        planes=(*tables.planes, write(tmp_path, "sheet.csv", sheet)),
         replace={"10": write(tmp_path, "halves.csv", halves)},
         sides={"90": 1},
         drop=(90,),
@@ -295,12 +295,14 @@ def test_tables_name_the_row_that_is_wrong(tmp_path):
     ):
         path = write(tmp_path, "bad.csv", text)
         with pytest.raises(InputError, match=said):
-            read_mesh(RoomSpec(polygons=PolygonSpec(good.corners, (path,))))
+            read_mesh(RoomSpec(polygons=PolygonSpec(corners=good.corners, planes=(path,))))
     with pytest.raises(InputError, match=r"no plane has this number\n.*drop\n.*100"):
-        read_mesh(RoomSpec(polygons=PolygonSpec(good.corners, good.planes, drop=(100,))))
+        read_mesh(
+            RoomSpec(polygons=PolygonSpec(corners=good.corners, planes=good.planes, drop=(100,)))
+        )
     bad = write(tmp_path, "bad.csv", "number,x,y,z\n1,0,zero,0\n")
     with pytest.raises(InputError, match=r"not a finite number\n.*line 2"):
-        read_mesh(RoomSpec(polygons=PolygonSpec((bad,), good.planes)))
+        read_mesh(RoomSpec(polygons=PolygonSpec(corners=(bad,), planes=good.planes)))
 
 
 def test_keys_match_surface_before_group_before_material(tmp_path):
@@ -356,7 +358,9 @@ def ptb(real_data: Path, **changes) -> RoomSpec:
     replaced = {"10": folder / "planes_wood_absorbers.csv", "25": folder / "planes_ceiling.csv"}
     corners = (folder / "corners.csv", folder / "corners_phase3.csv")
     changes = {"replace": replaced, "drop": (301, 391)} | changes
-    return RoomSpec(polygons=PolygonSpec(corners, (folder / "planes.csv",), **changes))
+    return RoomSpec(
+        polygons=PolygonSpec(corners=corners, planes=(folder / "planes.csv",), **changes)
+    )
 
 
 @pytest.mark.slow

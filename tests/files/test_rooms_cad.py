@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.rooms import read_mesh, read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.formats.catt import area_m2, cut_parts
 from roomfit.room.mesh import is_double_sided, surface_area_m2, triangle_areas_m2, volume_m3
 

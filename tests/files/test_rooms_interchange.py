@@ -13,7 +13,7 @@ from roomfit.base.findings import Code
 from roomfit.files.draft import likely_units
 from roomfit.files.inputs import check_room
 from roomfit.files.rooms import read_mesh, read_model, read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import material_areas_m2
 

@@ -19,7 +19,7 @@ from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.inputs import object_areas_m2
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.room.mesh import box_of, surface_area_m2, volume_m3
 from roomfit.room.scene import Room, material_areas_m2
 from scans import (

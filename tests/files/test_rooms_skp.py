@@ -10,7 +10,7 @@ import pytest
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.files.draft import likely_units
 from roomfit.files.rooms import read_model, read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import material_areas_m2
 

@@ -16,7 +16,6 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.cli.measure import measure_to_folder
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import (
     SweepPlan,
     excitation,
@@ -24,6 +23,7 @@ from roomfit.files.responses.sweep import (
     response_name,
     sweep,
 )
+from roomfit.files.schema import ResponseSpec
 from roomfit.files.sound_card import SoundCard
 from small_campaign import run_command
 

@@ -159,10 +159,9 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     from roomfit.files.directivity import read_directivity
     from roomfit.files.inputs import check_room, identify_arguments
     from roomfit.files.responses import read_response
-    from roomfit.files.responses.recordings import ResponseSpec
     from roomfit.files.results import read_materials, read_result
     from roomfit.files.rooms import read_mesh
-    from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+    from roomfit.files.schema import PolygonSpec, ResponseSpec, RoomSpec
     from roomfit.files.values import read_parameters
     from roomfit.impedance.campaign import read_spectrum
 
@@ -183,7 +182,9 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         return lambda path: read_response(ResponseSpec(path, **keys))
 
     def tables(corners: Path, planes: Path) -> object:
-        return checked(RoomSpec(polygons=PolygonSpec((corners,), (planes,))), corners)
+        return checked(
+            RoomSpec(polygons=PolygonSpec(corners=(corners,), planes=(planes,))), corners
+        )
 
     def result(path: Path) -> object:
         return read_materials(path), read_result(path)

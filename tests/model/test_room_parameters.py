@@ -15,7 +15,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
 from roomfit.demo.boxes import WALLS, SyntheticBox, pressure_response
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.files.values import read_parameters
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.compare import compared_values

@@ -12,7 +12,7 @@ from roomfit.base.air import Air, attenuation_per_m
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.findings import Code
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.schema import ResponseSpec
 from roomfit.signals.decay import (
     RoomParameters,
     check_decay_range,

@@ -23,7 +23,7 @@ from images_reference import (
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.paper.room import paper_scene
 from roomfit.room.mesh import area_vectors_m2

@@ -12,7 +12,7 @@ from followed_rays import FollowedRays, follow_rays
 from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room
 from rays_reference import box_with_panel
 from roomfit.files.rooms import read_room
-from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+from roomfit.files.schema import PolygonSpec, RoomSpec
 from roomfit.materials.priors import uniform_scattering
 from roomfit.room.mesh import mean_free_path_m, surface_area_m2, volume_m3
 from roomfit.room.scene import Room
@@ -96,7 +96,9 @@ def test_no_ray_is_lost_in_a_real_room_and_few_in_one_with_leaks(real_data: Path
     )
     folder = real_data / "ptb_studio"
     tables = PolygonSpec(
-        (folder / "corners.csv",), (folder / "planes.csv",), drop=tuple(range(351, 357))
+        corners=(folder / "corners.csv",),
+        planes=(folder / "planes.csv",),
+        drop=tuple(range(351, 357)),
     )
     leaking, _ = read_room(RoomSpec(polygons=tables))
     fractions = []

@@ -33,7 +33,7 @@ from roomfit.files.file_names import matching_files
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.files.responses.sweep import response_name
 from roomfit.files.rooms import READERS
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.files.tables import TABLE_SUFFIXES
 from roomfit.files.values import read_positions
 

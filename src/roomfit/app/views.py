@@ -26,10 +26,9 @@ from roomfit.files.encoding import finding_content, numbers_or_null
 from roomfit.files.inputs import check_campaign
 from roomfit.files.remedies import advised
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
-from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
 from roomfit.files.rooms import read_mesh
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import ResponseSpec, RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
 from roomfit.formats.model import UnchosenSpaceError
 from roomfit.report.check import recordings_blocks

@@ -243,7 +243,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         "recording or a band of no use; 2 bad input.",
         _path("room", "Room file, such as room.obj, or a campaign file (.toml)."),
         _value("--unit", "m, mm, cm, ft or in; needed where the format does not state it."),
-        _value("--up", "Axis that points up: z or y."),
+        _value("--up", "Axis that points up: z or y.", choices=("z", "y")),
         _value("--bands", "Of a campaign: bands to examine, as 500-2000, in place of from_hz and "
                "to_hz.", type=number_range, dest="between_hz"),
         _out("Of a campaign: folder for a picture of room and positions.", required=False),
@@ -332,7 +332,8 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _path("--decay-times", "In place of recordings: table (CSV, XLSX) of T30 in s, as from an "
               "older report."),
         _value("--unit", "Of the room: m, cm, mm, in or ft. Left out: guessed, or asked."),
-        _value("--up", "Axis that points up in the room file: z or y. Left out: guessed."),
+        _value("--up", "Axis that points up in the room file: z or y. Left out: guessed.",
+               choices=("z", "y")),
         _flag("--overwrite", "Replace a campaign.toml that is there."),
     ),
     "listen": (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from roomfit.base.errors import InputError, located
 from roomfit.base.whole_files import check_output_folder, whole_output_folder
@@ -15,7 +15,7 @@ from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import finding_of
 from roomfit.files.inputs import check_campaign, check_room
 from roomfit.files.remedies import advice, advised, changed_since, chosen
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.report.blocks import Blocks, Drawing
 from roomfit.report.check import recordings_blocks, room_blocks
 from roomfit.report.progress import shown_progress
@@ -31,7 +31,7 @@ def check(
     *,
     room: Path,
     unit: str | None,
-    up: str | None,
+    up: Literal["z", "y"] | None,
     between_hz: tuple[float, float] | None,
     out: Path | None,
     remedy: str | None,

@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
@@ -19,7 +19,7 @@ from roomfit.files.draft import draft_campaign, likely_units
 from roomfit.files.edits import sole_editor
 from roomfit.files.file_names import matching_files, recordings_in
 from roomfit.files.rooms import READERS
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
 from roomfit.report.wording import count
 
@@ -33,7 +33,7 @@ def init(
     positions: Path | None,
     decay_times: Path | None,
     unit: str | None,
-    up: str | None,
+    up: Literal["z", "y"] | None,
     space: str | None,
     overwrite: bool,
 ) -> str:
@@ -47,7 +47,7 @@ def init(
         asked, because = _asked(room, space)
     if room is not None or shoebox is not None:
         lengths = shoebox and cast("tuple[float, float, float]", tuple(shoebox))
-        spec = RoomSpec(room, lengths or None, unit=asked, up=up, space=space)
+        spec = RoomSpec(file=room, shoebox=lengths or None, unit=asked, up=up, space=space)
     text = draft_to_folder(
         folder, spec, recordings, positions,
         decay_times=decay_times, because=because, overwrite=overwrite,

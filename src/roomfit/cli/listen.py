@@ -16,8 +16,8 @@ from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import ResultFile
 from roomfit.files.questions import Wanted, question_of_pairs
 from roomfit.files.responses import read_response
-from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.results import read_result
+from roomfit.files.schema import ResponseSpec
 from roomfit.predict.changes import read_change
 from roomfit.predict.listen import listen, with_dry_recording
 from roomfit.predict.output import listen_content

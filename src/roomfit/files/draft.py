@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from roomfit.files.campaign import FILL_IN
 from roomfit.files.edits import value_text
 from roomfit.files.encoding import one_line
 from roomfit.files.rooms import read_mesh, read_model
-from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import RoomSpec
 from roomfit.files.values import UNIT_WORDS
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import suggested_entries
@@ -253,7 +252,7 @@ def check_unit(mesh: Mesh, positions: Positions) -> None:
 
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
     """Return a room with a unit and an upward axis, stated or guessed, and the lines of both."""
-    unit, up, why_up = room.unit, room.up, ""
+    unit, up, why_up = room.unit, str(room.up or ""), ""
     if unit is None:
         units = likely_units(Path(room.file or ""), room.space)
         if len(units) != 1:
@@ -268,12 +267,12 @@ def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[Room
             )
         ((unit, why),) = units.items()
         because = why if why.startswith("by") else f"guessed: {why}"
-    if up is None:
+    if not up:
         up, why_up = likely_up(model)
     lines = [f"unit = {value_text(unit)}" + (f"  # {because}" if because else "")]
     if why_up or room.up is not None:
         lines.append(f"up = {value_text(up)}" + (f"  # guessed: {why_up}" if why_up else ""))
-    return replace(room, unit=unit, up=up), lines
+    return room.model_copy(update={"unit": unit, "up": up}), lines
 
 
 def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:

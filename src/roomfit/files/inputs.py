@@ -22,7 +22,6 @@ from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.directivity import read_directivity
 from roomfit.files.responses import read_response
 from roomfit.files.rooms import read_mesh, read_room
-from roomfit.files.rooms.model import RoomSpec
 from roomfit.files.schema import (
     AreaPrior,
     Campaign,
@@ -31,6 +30,7 @@ from roomfit.files.schema import (
     ObjectTable,
     Prior,
     ProjectTable,
+    RoomSpec,
     SharedDirectivity,
     SourceDirectivity,
     Spectrum,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,8 +19,6 @@ from roomfit.base.air import Air
 from roomfit.base.bands import Bands, bands_between, bands_of
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
-from roomfit.files.responses.recordings import ResponseSpec
-from roomfit.files.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
 from roomfit.room.scene import Point, PointGroup
 from roomfit.settings import SETTING_LIMITS, Method, Settings
@@ -82,32 +80,40 @@ class Table(BaseModel):
     )
 
 
-class PolygonTable(Table):
+def the_one(table: Table, keys: tuple[str, ...], what: str, where: str, hint: str) -> None:
+    """Refuse a table that has none or several of some keys."""
+    given = [key for key in keys if getattr(table, key) is not None]
+    if len(given) != 1:
+        found, needed = ", ".join(given) or "none", f"one of {', '.join(keys)}"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+
+
+class PolygonSpec(Table):
     """``[room] polygons``: corner and plane tables."""
 
-    corners: list[str] = Field(min_length=1)
+    corners: tuple[Path, ...] = Field(min_length=1)
     """CSV files of corners: number, x, y, z. A later file replaces corners of an earlier one."""
-    planes: list[str] = Field(min_length=1)
+    planes: tuple[Path, ...] = Field(min_length=1)
     """CSV files of planes: number, material, area, and one corner number after the other."""
-    replace: dict[str, str] = {}
+    replace: dict[str, Path] = {}
     """A plane's number, and the CSV file of planes that replace it."""
-    drop: list[int] = []
+    drop: tuple[int, ...] = ()
     """Numbers of planes to leave out."""
     sides: dict[str, Literal[1, 2]] = {}
     """A plane's number and 1 (a wall) or 2 (a sheet in the air), whatever its row says."""
 
 
-class RoomTable(Table):
-    """``[room]``."""
+class RoomSpec(Table):
+    """``[room]``: which room to read, and how to understand it."""
 
-    file: str | None = None
+    file: Path | None = None
     """OBJ, PLY, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
     SketchUp (.skp), or a scan by Apple's RoomPlan (.json, .usdz)."""
     space: str | None = None
     """Of a building model (IFC) or a scan (JSON): name of the room, where it has several."""
     shoebox: tuple[float, float, float] | None = None
     """Three lengths along x, y and z of a box with one corner at the origin."""
-    polygons: PolygonTable | None = None
+    polygons: PolygonSpec | None = None
     """Tables of corners and planes."""
     unit: str | None = None
     """m, mm, cm, ft or in; required where the file states none (OBJ, PLY, STL)."""
@@ -117,6 +123,31 @@ class RoomTable(Table):
     """From names of surfaces, groups or the file's own materials to names of materials."""
     lengths_sd: tuple[Metre, Metre, Metre] | None = None
     """Of a shoebox: standard deviations in m of its lengths, which then are fitted; 0: exact."""
+
+    def model_post_init(self, _: Any, /) -> None:
+        """Refuse a room without a description, or with two, and a space of a file without them."""
+        what, hint = "the room needs exactly one description", "keep the one that is as the room is"
+        the_one(self, ("file", "shoebox", "polygons"), what, "room", hint)
+        if self.space is not None and (self.file or Path()).suffix.lower() not in _OF_SEVERAL:
+            what = "only a building model and a scan have spaces"
+            needed = f"a file of {' or '.join(_OF_SEVERAL)}"
+            raise InputError(what, found=self.space, needed=needed, hint="leave space out")
+
+    def within(self, folder: Path) -> RoomSpec:
+        """Return it with paths that were relative to a folder."""
+        polygons = None
+        if (own := self.polygons) is not None:
+            paths: dict[str, Any] = {
+                "corners": tuple(folder / f for f in own.corners),
+                "planes": tuple(folder / f for f in own.planes),
+                "replace": {key: folder / f for key, f in own.replace.items()},
+            }
+            polygons = own.model_copy(update=paths)
+        file = None if self.file is None else folder / self.file
+        return self.model_copy(update={"file": file, "polygons": polygons})
+
+
+_OF_SEVERAL = (".ifc", ".json")  # files that may have several rooms
 
 
 class GroupTable(Table):
@@ -305,10 +336,10 @@ class SourceTable(ReceiverTable):
     """"omni", "fit", a SOFA file, or a table."""
 
 
-class DefaultsTable(Table):
-    """``[defaults]``: what holds of every measurement that does not say otherwise."""
+class _ResponseKeys(Table):
+    """How a response is read from its file."""
 
-    excitation: str | None = None
+    excitation: Path | None = None
     """The sweep as it was played (WAV): `file` is its recording, and is deconvolved."""
     excitation_channel: Number | None = None
     """Channel of the excitation, from 0."""
@@ -331,6 +362,28 @@ class DefaultsTable(Table):
     """What the first sample is: emission by a common clock, the direct sound, or unknown."""
     latency_s: float = limited(-10.0, 10.0, "s; cut the file beyond that", 0.0)
     """Delay of the measuring chain in s: from the first sample to emission."""
+
+
+class ResponseSpec(_ResponseKeys):
+    """One response in a file, as a campaign names it."""
+
+    path: Path
+    """Recognised by its suffix."""
+
+    def __init__(self, path: Path, **keys: Any) -> None:
+        super().__init__(path=path, **keys)  # type: ignore[call-arg]
+
+    @property
+    def where(self) -> str:
+        """The file and the part of it, as findings name them."""
+        chosen = (self.channel, self.variable, self.measurement, self.receiver_index)
+        part = ", ".join(str(c) for c in chosen if c is not None)
+        return f"{self.path}[{part}]" if part else str(self.path)
+
+
+class DefaultsTable(_ResponseKeys):
+    """``[defaults]``: what holds of every measurement that does not say otherwise."""
+
     latency_sd_s: float | None = limited(0.0, 0.1, 's; beyond that time_zero = "unknown"', None)
     """Its standard deviation in s. Default: 0.02 ms for emission, else 0.1 ms."""
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
@@ -368,9 +421,8 @@ class MeasurementTable(DefaultsTable):
     @property
     def response(self) -> ResponseSpec:
         """How the response is to be read."""
-        own = {f.name: getattr(self, f.name) for f in fields(ResponseSpec) if f.name != "path"}
-        own["excitation"] = None if self.excitation is None else Path(self.excitation)
-        return ResponseSpec(path=self.path, **own)
+        keys = {name: getattr(self, name) for name in _ResponseKeys.model_fields}
+        return ResponseSpec(self.path, **keys)
 
 
 class StateTable(Table):
@@ -545,17 +597,6 @@ class SpeechTable(Table):
     """Levels of noise at the listeners in the octaves from 125 Hz to 8 kHz, in dB."""
 
 
-_OF_ROOM = ("shoebox", "unit", "up", "materials", "lengths_sd", "space")
-
-
-def the_one(table: Table, keys: tuple[str, ...], what: str, where: str, hint: str) -> None:
-    """Refuse a table that has none or several of some keys."""
-    given = [key for key in keys if getattr(table, key) is not None]
-    if len(given) != 1:
-        found, needed = ", ".join(given) or "none", f"one of {', '.join(keys)}"
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
-
-
 class Campaign(Table):
     """The whole file, as `roomfit.read_campaign` returns it.
 
@@ -568,7 +609,7 @@ class Campaign(Table):
     """Of this file's format: 1, the only one."""
     project: ProjectTable = ProjectTable()
     """What the report says of itself."""
-    room_table: RoomTable = Field(alias="room")
+    room_table: RoomSpec = Field(alias="room")
     """The room."""
     air_table: AirTable = Field(AirTable(), alias="air")
     """The air."""
@@ -635,21 +676,7 @@ class Campaign(Table):
     @property
     def room(self) -> RoomSpec:
         """Which room to read, and how."""
-        own, folder, polygons = self.room_table, self.path.parent, None
-        hint = "keep the one that describes the room as it is"
-        what, where = "the room needs exactly one description", f"{self.path}, room"
-        the_one(own, ("file", "shoebox", "polygons"), what, where, hint)
-        if (given := own.polygons) is not None:
-            polygons = PolygonSpec(
-                corners=tuple(folder / f for f in given.corners),
-                planes=tuple(folder / f for f in given.planes),
-                replace={key: folder / f for key, f in given.replace.items()},
-                drop=tuple(given.drop),
-                sides=dict(given.sides),
-            )
-        stated = {key: getattr(own, key) for key in _OF_ROOM}
-        file = None if own.file is None else folder / own.file
-        return RoomSpec(file=file, polygons=polygons, **stated)
+        return self.room_table.within(self.path.parent)
 
     @property
     def air(self) -> Air:

@@ -11,8 +11,9 @@ from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.files.responses.formats import read_ita, read_mat, read_npy, read_rew, read_sound
-from roomfit.files.responses.recordings import Recording, ResponseSpec, checked, deconvolved
+from roomfit.files.responses.recordings import Recording, checked, deconvolved
 from roomfit.files.responses.sofa import read_sofa
+from roomfit.files.schema import ResponseSpec
 from roomfit.signals.response import ImpulseResponse
 
 SOUND_SUFFIXES = (".wav", ".wave", ".flac", ".aif", ".aiff", ".aifc", ".w64")

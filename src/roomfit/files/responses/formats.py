@@ -18,7 +18,8 @@ from roomfit.base.door import decoded, limit, npy_array, quiet, unpacked_limit_b
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.typing import FloatArray
-from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
+from roomfit.files.responses.recordings import Recording, pick
+from roomfit.files.schema import ResponseSpec
 from roomfit.formats.hdf5 import Variables, mat_variables
 
 _ITA = "ITA_TOOLBOX_AUDIO_OBJECT"

@@ -1,4 +1,4 @@
-"""Which response to take from which file, what a reader returns, its checks, and deconvolution."""
+"""What a reader of a response returns, its checks, and deconvolution."""
 
 from __future__ import annotations
 
@@ -11,45 +11,12 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.signals.measurement import TimeZero
 from roomfit.signals.response import clipping, clipping_findings
 
 _SHORTEST_S = 0.01
 _LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from the range of a float
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class ResponseSpec:
-    """One response in a file, as a campaign names it."""
-
-    path: Path  # a WAV, MAT or SOFA file, or a text file of REW (.txt), recognised by its suffix
-    # WAV: channel; MAT: column. From 0; needed where there are several
-    channel: int | None = None
-    variable: str | None = None  # MAT: name of the array of responses
-    sampling_rate_variable: str | None = None  # MAT: name of the sampling rate in Hz
-    # MAT: the sampling rate itself. Elsewhere it must agree with the file
-    sampling_rate_hz: float | None = None
-    measurement: int | None = None  # SOFA: from 0; needed where there are several
-    receiver_index: int | None = None  # SOFA: from 0; needed where there are several
-    time_zero: TimeZero = "emission"  # what the beginning of the file stands for
-    # delay of the measuring chain: emission lies this long after the first sample (REW: after
-    # REW's own time zero)
-    latency_s: float = 0.0
-    # the WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
-    # impulse response; emission is the start of this file. It may be `path` itself, where another
-    # channel holds a loopback
-    excitation: Path | None = None
-    # from 0; needed where the excitation has several channels
-    excitation_channel: int | None = None
-
-    @property
-    def where(self) -> str:
-        """The file and the part of it, as findings name them."""
-        chosen = (self.channel, self.variable, self.measurement, self.receiver_index)
-        part = ", ".join(str(c) for c in chosen if c is not None)
-        return f"{self.path}[{part}]" if part else str(self.path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,8 @@ import numpy as np
 
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
-from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
+from roomfit.files.responses.recordings import Recording, pick
+from roomfit.files.schema import ResponseSpec
 from roomfit.formats.hdf5 import Hdf5Variable, hdf5_variables
 
 # Measurement, receiver, sample or frequency, emitter: the order of axes of AES69, from which the

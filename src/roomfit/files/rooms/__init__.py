@@ -13,8 +13,8 @@ from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.polygon import WELD_TOLERANCE_M, area_vector_m2, triangulate
 from roomfit.base.typing import FloatArray
-from roomfit.files.rooms.model import RoomSpec, in_metres
 from roomfit.files.rooms.tables import read_polygons
+from roomfit.files.schema import RoomSpec
 from roomfit.formats.catt import read_catt
 from roomfit.formats.dxf import read_dxf
 from roomfit.formats.ifc import read_ifc
@@ -62,7 +62,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
 
     Examples
     --------
-    >>> from roomfit.files.rooms.model import RoomSpec
+    >>> from roomfit.files.schema import RoomSpec
     >>> room, findings = read_room(RoomSpec(shoebox=(6.0, 5.0, 3.0), materials={"floor": "carpet"}))
     >>> room.materials[4], len(findings)
     ('carpet', 0)
@@ -86,7 +86,7 @@ def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
         with located("[room] shoebox"):
             return shoebox_mesh(lengths), ()
     model, where = read_model(spec)
-    vertices_m = in_metres(model, spec.unit, spec.up, where)
+    vertices_m = _in_metres(model, spec.unit, spec.up, where)
     _check_size(model, vertices_m, where)
     mesh, built = build_mesh(vertices_m, model.faces)
     mesh, turned = oriented(mesh)
@@ -97,14 +97,12 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
     """Return the lengths of the box along x, y and z, or None where the room is no shoebox."""
     if spec.shoebox is None:
         return None
-    unit = spec.unit or "m"
-    compare = "compare the volume that roomfit check shows"
-    check_known("unknown unit", unit, METRES_PER_UNIT, where="[room] unit", else_try=compare)
     if spec.up not in (None, "z"):
         what = "a shoebox stands with z up"
         hint = "leave up out, and give the height last"
         raise InputError(what, found=f"up = {spec.up!r}", needed='"z"', hint=hint)
-    x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
+    metres = _metres_per(spec.unit or "m", "[room] unit")
+    x, y, z = (float(length) * metres for length in spec.shoebox)
     return x, y, z
 
 
@@ -125,6 +123,30 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
             read = read_ifc if suffix == ".ifc" else read_roomplan
             return read(path, spec.space), str(path)
         return READERS[suffix](path), str(path)
+
+
+def _in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) -> FloatArray:
+    """Return the vertices in metres with z up, shape (n_vertices, 3).
+
+    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored.
+    """
+    chosen = unit or model.unit
+    if chosen is None:
+        raise InputError(
+            "the unit of the room file is not known",
+            where=where,
+            found="no unit",
+            needed=f"one of {', '.join(METRES_PER_UNIT)}: this format carries none",
+            hint='add unit = "m" (or --unit m) and compare the volume that is shown',
+        )
+    x, y, z = (model.vertices * _metres_per(chosen, where)).reshape(-1, 3).T
+    return np.stack([x, -z, y] if (up or model.up) == "y" else [x, y, z], axis=1)
+
+
+def _metres_per(unit: str, where: str) -> float:
+    compare = "compare the volume that roomfit check shows"
+    check_known("unknown unit", unit, METRES_PER_UNIT, where=where, else_try=compare)
+    return METRES_PER_UNIT[unit]
 
 
 def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:

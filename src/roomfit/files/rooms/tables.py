@@ -12,7 +12,7 @@ import numpy as np
 from roomfit.base.arguments import check_known
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.polygon import Face, Surface, area_vector_m2
-from roomfit.files.rooms.model import PolygonSpec
+from roomfit.files.schema import PolygonSpec
 from roomfit.files.tables import Line, table_lines
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite, malformed
 
