@@ -224,24 +224,6 @@ def test_the_scatter_by_rays_is_that_of_other_rays():
     )
 
 
-def test_the_scatter_of_values_is_that_of_random_echoes():
-    """Independent of the derivation: exponential energies with the chi-square of each bin."""
-    T, edges, b = 1.0, 5e-4 * np.arange(0, 4001), 708.0
-    problem = exponential_problem(T, 1000.0)
-    rng = np.random.default_rng(5)
-    mean = np.diff(-np.exp(-6.0 * np.log(10.0) * edges / T))
-    found = []
-    for _ in range(600):
-        # a window of B dt degrees of freedom scatters by (B dt) ** -1/2: gamma of that shape
-        shape = b * 5e-4
-        energy = mean * rng.gamma(shape, 1.0 / shape, mean.size)
-        curve = echogram_decay_curve(ONE_BAND, energy[None], edges, 0.0)
-        found.append(value_gradients(curve, 0, ("T20_s", "T30_s"))[0])
-    (covariance,) = value_covariances(problem, START["absorption"])
-    # 600 trials know a standard deviation within 2.9 %: four of them, and the bandwidth's rounding
-    np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(covariance)), rtol=0.13)
-
-
 def small_room(centres_hz: np.ndarray):
     """Return a scene of a box with three materials and four pairs, traced."""
     walls = dict.fromkeys(("west", "east", "south", "north"), "walls")
@@ -337,20 +319,14 @@ def test_a_table_is_read_with_its_spread_and_its_gaps(tmp_path):
     [
         ("A,1,T20,20,1\n", r"implausible(.|\n)*line 2, column 4(.|\n)*T20 of 20 s"),
         ("A,1,C80,1,90\n", r"implausible(.|\n)*column 5 \(C80 A 1 at 250 Hz\)"),
-        ("A,1,T30,1500,1\n", "milliseconds"),
-        ("A,1,D50,0.4,120\n", "implausible"),
         ("A,1,C50,3,3\nA,1,C80,2,4\n", "contradict(.|\n)*C80 of 2 dB and C50 of 3 dB"),
         ("A,1,C50,0,0\nA,1,D50,50,80\n", "contradict(.|\n)*D50 near 50 %"),
         ("A,1,T20,1,1\nA,1,EDT,1,10\n", "contradict(.|\n)*EDT of 10 s"),
-        ("A,1,T20,1,1\nA,1,T30,1,4\n", "contradict(.|\n)*T30 of 4 s"),
         ("A,1,T25,1,1\n", "unknown room parameter"),
         ("A,1,T20,one,1\n", "not a number(.|\n)*line 2, column 4"),
-        ("A,1,T20,nan,1\n", "not a number"),
         ("A,1,T20,1,5,1,7\n", "more values than bands(.|\n)*point"),
         ("A,,T20,1,1\n", "without source or receiver"),
-        ("A,1,T20_sd,0.1,0.1\n", "spread without its value"),
         ("A,1,T20,1,1\nA,1,T20_sd,-1,0\n", "below zero"),
-        ("", "without values"),
     ],
 )
 def test_bad_tables_are_refused_with_the_place(tmp_path, text, words):
