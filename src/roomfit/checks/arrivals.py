@@ -149,12 +149,12 @@ def _begin_at_direct(found: _Arrivals) -> _Findings:
     tolerance_m, distance_m = float(found.tolerance_m.max()), found.distance_m
     if len(own_m) < _FEWEST or np.ptp(own_m) > tolerance_m or np.ptp(distance_m) < 3 * tolerance_m:
         return ()
-    text = (
-        f"begin at their direct sound, {1e3 * float(own_m.mean()) / found.speed_m_s:.2f} ms "
-        f"after the first sample, whatever the distance ({distance_m.min():.2f} to "
-        f"{distance_m.max():.2f} m)"
+    return _clock_of_direct(
+        found,
+        f"begin at their direct sound, {1e3 * float(own_m.mean()) / found.speed_m_s:.2f} ms after "
+        f"the first sample, whatever the distance ({distance_m.min():.2f} to "
+        f"{distance_m.max():.2f} m)",
     )
-    return _clock_of_direct(found, text)
 
 
 def _begin_anywhere(found: _Arrivals) -> _Findings:
@@ -162,15 +162,13 @@ def _begin_anywhere(found: _Arrivals) -> _Findings:
     late_s = found.late_m / found.speed_m_s
     if len(late_s) < 2 or late_s.min() < _LEAD_S:
         return ()
-    text = (
-        "begin before the sound is emitted, each at another instant, "
-        f"{late_s.min():.2f} to {late_s.max():.2f} s"
+    range_s = f"{late_s.min():.2f} to {late_s.max():.2f} s"
+    return _clock_of_direct(
+        found, f"begin before the sound is emitted, each at another instant, {range_s}"
     )
-    return _clock_of_direct(found, text)
 
 
 def _clock_of_direct(found: _Arrivals, text: str) -> _Findings:
-    """The first sample of a file tells nothing of when the sound was emitted."""
     files = found.measurements
     sentence = f'All {len(files)} files {text}: set time_zero = "direct".'
     about, evidence = about_files(*files), {"time_zero": "direct"}

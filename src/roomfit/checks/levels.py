@@ -41,10 +41,8 @@ def check_levels(evidence: Recorded) -> Iterator[Finding]:
 
 def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
     """Return that all have one peak, to 16 bits, although direct sounds travel 1 dB apart."""
-    sizes, direct_s = (
-        [np.abs(m.measurement.response.pressure) for m in group],
-        [m.direct_s for m in group],
-    )
+    sizes = [np.abs(m.measurement.response.pressure) for m in group]
+    direct_s = [m.direct_s for m in group]
     peaks = np.array([x.max() for x in sizes])
     # several samples have it where peaks are cut off
     single = all(np.count_nonzero(x > 0.9999 * x.max()) == 1 for x in sizes)
@@ -64,7 +62,10 @@ def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
 
 def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
     """Return that levels of direct sound and decay fall into two groups, by another gain."""
-    late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
+    energies = np.array([float(np.sum(_direct_sound(m) ** 2)) for m in group])
+    with np.errstate(divide="ignore"):
+        direct_db = 10.0 * np.log10(energies) + 20.0 * np.log10([m.direct_s for m in group])
+    late_db = _late_levels_db(group)
     if len(group) < 2 or not np.all(np.isfinite(late_db + direct_db)):
         return None
     order = np.argsort(late_db)
@@ -108,12 +109,6 @@ def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
     return np.asarray(levels[:, known] @ weights / weights.sum())
 
 
-def _direct_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
-    energies = np.array([float(np.sum(_direct_sound(m) ** 2)) for m in group])
-    with np.errstate(divide="ignore"):
-        return np.asarray(10.0 * np.log10(energies) + 20.0 * np.log10([m.direct_s for m in group]))
-
-
 def check_polarity(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding where some recordings have the opposite polarity of the others.
 
@@ -127,7 +122,8 @@ def check_polarity(evidence: Recorded) -> Iterator[Finding]:
     for group in by_source.values():
         sounds = [_direct_sound(m) for m in group]
         strongest = int(np.argmax([float(np.max(np.abs(s), initial=0.0)) for s in sounds]))
-        signs = np.array([_sign(s, sounds[strongest]) for s in sounds])
+        likeness = np.array([_likeness(s, sounds[strongest]) for s in sounds])
+        signs = np.where(np.abs(likeness) < _LIKENESS, 0.0, np.sign(likeness))
         n, odd = np.count_nonzero(signs), 1 if np.sum(signs) < 0 else -1
         minority = [group[i].measurement for i in np.flatnonzero(signs == odd)]
         inverted += minority if n >= _FEWEST_SIGNS and 2 * len(minority) < n else []
@@ -142,14 +138,11 @@ def check_polarity(evidence: Recorded) -> Iterator[Finding]:
         )
 
 
-def _sign(sound: FloatArray, reference: FloatArray) -> int:
-    """Return the sign of the largest correlation, 0 where the two are not alike."""
+def _likeness(sound: FloatArray, reference: FloatArray) -> float:
+    """Return the largest correlation, of either sign."""
     norm = float(np.linalg.norm(sound) * np.linalg.norm(reference))
-    if norm == 0.0:
-        return 0
-    likeness = np.correlate(sound, reference, mode="full") / norm
-    best = float(likeness[int(np.argmax(np.abs(likeness)))])
-    return 0 if abs(best) < _LIKENESS else int(np.sign(best))
+    correlated = np.correlate(sound, reference, mode="full")
+    return float(correlated[int(np.argmax(np.abs(correlated)))]) / norm if norm > 0.0 else 0.0
 
 
 def _direct_sound(m: MeasuredPair) -> FloatArray:

@@ -23,7 +23,6 @@ from roomfit.fit.paths import TracedPaths
 from roomfit.model.binned import rows_at
 from roomfit.model.observation import has_data_in_band, timing_sd_s
 from roomfit.model.weighing import EnergyRows, first_rows, weigh
-from roomfit.room.scene import Room
 from roomfit.signals.filters import (
     SpreadingKernel,
     energy_bandwidth_hz,
@@ -103,21 +102,16 @@ def isolated_reflections(
     """
     kernel = spreading_kernel(measured.bands)
     found: list[IsolatedReflection] = []
-    of_pair = paths_of_pairs(traced.paths)
+    paths, of_pair = traced.paths, paths_of_pairs(traced.paths)
     for m in measured.responses:
-        first = _direct_and_first(traced.paths, of_pair[m.pair])
-        for band in range(len(measured.bands)) if len(first) else ():
+        own = of_pair[m.pair][paths.batch[of_pair[m.pair]] < 0]
+        struck = (paths.hits_specular[own] + paths.hits_diffuse[own]).sum(axis=1)
+        first = np.append(own[struck == 0], own[struck == 1])  # behind the direct path
+        stands = np.count_nonzero(struck == 0) == 1 and first.size > 1
+        for band in range(len(measured.bands)) if stands else ():
             if has_data_in_band(m, band):
                 found += _isolated(measured, traced, m, absorption, band, kernel, first)
     return tuple(found)
-
-
-def _direct_and_first(paths: Paths, own: IntArray) -> IntArray:
-    """Return the direct path of a pair's own, and behind it the first reflections; or none."""
-    own = own[paths.batch[own] < 0]
-    struck = (paths.hits_specular[own] + paths.hits_diffuse[own]).sum(axis=1)
-    direct, single = own[struck == 0], own[struck == 1]
-    return np.append(direct, single) if direct.size == 1 and single.size else own[:0]
 
 
 def _isolated(
@@ -176,34 +170,23 @@ def _isolated(
     clear[0] = False
     returned = ((recorded - noise) / gain - others) / hard
     degrees = 2.0 * half_s * bandwidth_hz
-    variance = _variance(back, others / hard, noise / (gain * hard), degrees)
+    # by interference, noise and an error of the model, relative to the path without loss
+    rest, quiet = others / hard, noise / (gain * hard)
+    variance = (2.0 * rest * back + rest**2) / degrees
+    variance += (quiet**2 + 2.0 * quiet * (back + rest)) / degrees
+    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * rest[0] / degrees)
     late_s = np.maximum(windows - arrival_s[0], 0.0)
     variance += (_RINGING * hard[0] / hard * np.diff(np.exp(-late_s / _RINGING_S))[:, 0]) ** 2
     towards = (paths.departure[own] - paths.arrival[own]).astype(np.float64)
-    source, receiver = m.measurement.pair_name[:2]
-    return [
-        IsolatedReflection(
-            source,
-            receiver,
-            _wall(room, towards[i], int(material[i])),
-            room.materials[material[i]],
-            band,
-            float(returned[i]),
-            float(np.sqrt(variance[i])),
-            float(back[i]),
-        )
-        for i in np.flatnonzero(clear)
-    ]
-
-
-def _variance(
-    back: FloatArray, others: FloatArray, noise: FloatArray, degrees: float
-) -> FloatArray:
-    """Return the variance of what is returned, by interference, noise and an error of the model."""
-    variance = (2.0 * others * back + others**2) / degrees
-    variance += (noise**2 + 2.0 * noise * (back + others)) / degrees
-    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / degrees)
-    return np.asarray(variance)
+    found = []
+    for i in np.flatnonzero(clear):
+        name = wall = room.materials[material[i]]
+        if room.shoebox_m is not None:  # which the sound turns towards
+            axis = int(np.argmax(np.abs(towards[i])))
+            wall = _SHOEBOX[2 * axis + int(towards[i, axis] > 0.0)]
+        numbers = float(returned[i]), float(np.sqrt(variance[i])), float(back[i])
+        found.append(IsolatedReflection(*m.measurement.pair_name[:2], wall, name, band, *numbers))
+    return found
 
 
 def _weights(paths: Paths, own: IntArray, rows: EnergyRows) -> FloatArray:
@@ -214,14 +197,6 @@ def _weights(paths: Paths, own: IntArray, rows: EnergyRows) -> FloatArray:
         of_row = np.intersect1d(rows.path[image], own, assume_unique=True, return_indices=True)
         weight[of_row[2]] = rows.weight_per_m2[image[of_row[1]]]
     return weight
-
-
-def _wall(room: Room, towards: FloatArray, material: int) -> str:
-    """Return the name of the wall that a first reflection meets, from its turn towards it."""
-    if room.shoebox_m is None:
-        return room.materials[material]
-    axis = int(np.argmax(np.abs(towards)))
-    return _SHOEBOX[2 * axis + int(towards[axis] > 0.0)]
 
 
 def wall_returns(

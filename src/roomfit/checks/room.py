@@ -11,7 +11,7 @@ from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.measurements import median_decay_s
 from roomfit.fit.scattering import GRID
-from roomfit.fit.trace_plan import scattering_remedies
+from roomfit.fit.trace_plan import scattering_assumed, scattering_remedies
 from roomfit.model.eyring import schroeder_hz
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import pair_names
@@ -42,23 +42,18 @@ def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
     """Yield which scattering was assumed, and which was fitted."""
     for chosen in evidence.traced.chosen_scattering:
         names = list(chosen.materials)
-        about = About(materials=names)
         if chosen.is_fitted:
             each = zip(*chosen[:4], strict=True)
             ranges = ", ".join(f"{n} {s:g} ({low:g} to {high:g})" for n, s, low, high in each)
             text = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
+            about = About(materials=names)
             yield Finding(Code.SCATTERING_FITTED, about, text, {"materials": names})
             continue
         value, low, high, reason = chosen.value[0], chosen.lower[0], chosen.upper[0], ""
         if chosen.has_data:
             others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
             reason = f", which explains the responses well ({others})"
-        text = (
-            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}."
-        )
-        numbers = {"materials": names, "scattering": value}
-        remedies = scattering_remedies(names, value)
-        yield Finding(Code.SCATTERING_ASSUMED, about, text, numbers, remedies=remedies)
+        yield scattering_assumed(names, value, reason)
 
 
 def check_scattering(evidence: Evidence) -> Iterator[Finding]:

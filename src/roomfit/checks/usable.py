@@ -169,16 +169,6 @@ def _table(
     decay_s = np.full(len(bands), np.nan)
     if found is not None:
         decay_s = median_decay_s(found.measured, bands.centres_hz)
-    return CheckedRecordings(
-        tuple(responses),
-        bands,
-        onset_s,
-        travel_s,
-        noise_db,
-        range_db,
-        usable,
-        has_t20,
-        decay_s,
-        schroeder_hz(decay_s, volume_m3(scene.room.mesh)),
-        findings,
-    )
+    of_bands = decay_s, schroeder_hz(decay_s, volume_m3(scene.room.mesh))
+    each = onset_s, travel_s, noise_db, range_db, usable, has_t20
+    return CheckedRecordings(tuple(responses), bands, *each, *of_bands, findings)

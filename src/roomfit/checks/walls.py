@@ -92,7 +92,16 @@ def outline_findings(
     walls = _large_walls(scene.room)
     findings: list[Finding] = []
     while walls:
-        reached = [[e for e in echoes if _is_reached(wall, e, c)] for wall in walls]
+        # where specified, a wall reflects to a receiver; behind a corner it does not
+        here_s = [[_arrivals_s(wall, np.zeros(1), e, c) for e in echoes] for wall in walls]
+        reached = [
+            [
+                e
+                for e, t in zip(echoes, own, strict=True)
+                if np.any(np.abs(e.arrivals_s - t) < _SAME_S)
+            ]
+            for own in here_s
+        ]
         scans = [_scan(wall, of, c) for wall, of in zip(walls, reached, strict=True)]
         best = int(np.argmax([float(np.nanmax(s, initial=-np.inf)) for s in scans]))
         wall, scores = walls.pop(best), scans[best]
@@ -155,22 +164,13 @@ def _arrivals_s(wall: _Wall, moved_m: FloatArray, echo: _Echoes, c: float) -> Fl
     return np.asarray(np.linalg.norm(images_m - echo.receiver_m, axis=1)) / c
 
 
-def _is_reached(wall: _Wall, echo: _Echoes, c: float) -> bool:
-    """Whether the wall, where specified, reflects to the receiver; behind a corner it does not."""
-    arrival_s = _arrivals_s(wall, np.zeros(1), echo, c)
-    return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
-
-
 def _prominences(wall: _Wall, moved_m: FloatArray, echoes: list[_Echoes], c: float) -> FloatArray:
     """Return the prominence at the wall's reflection by displacement, (n_moves, n_echoes).
 
     NaN where a response cannot resolve it, and where a position would be too near to the wall.
     """
-    found, is_specified = (
-        np.full((moved_m.size, len(echoes)), np.nan),
-        np.abs(moved_m) <= _TOLERANCE_M,
-    )
-    nearest_m = -np.inf
+    found = np.full((moved_m.size, len(echoes)), np.nan)
+    is_specified, nearest_m = np.abs(moved_m) <= _TOLERANCE_M, -np.inf
     for echo, column in zip(echoes, found.T, strict=True):
         arrival_s = _arrivals_s(wall, moved_m, echo, c)
         at = np.searchsorted(echo.time_s, arrival_s)

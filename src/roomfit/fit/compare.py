@@ -27,7 +27,7 @@ from roomfit.signals.decay import (
     room_parameters,
 )
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.signals.measurement import MeasuredPair, Use
+from roomfit.signals.measurement import MeasuredPair
 
 
 def compared_values(
@@ -78,7 +78,12 @@ def compare_all(
     observed, chosen = compared(), np.zeros(len(bands), dtype=np.bool_)
     if candidates is not None and candidates.any():
         added = compared(candidates)
-        chosen = _better(candidates, added, observed)
+        both = [(x, y) for x, y in zip(added, observed, strict=True) if x.use == "fit"]
+        off = [(x.parameters[n].jnd, y.parameters[n].jnd) for x, y in both for n in x.parameters]
+        sizes = np.abs(np.array(off).reshape(-1, 2, len(bands)))
+        known = np.isfinite(sizes).all(axis=1, keepdims=True)
+        by_pressures, by_energies = np.where(known, sizes, 0.0).sum(axis=0)
+        chosen = np.asarray(candidates & (by_pressures < by_energies))
         if chosen.any():
             observed = added if np.array_equal(chosen, candidates) else compared(chosen)
     tabulated = (*measurements.values, *measurements.kept_values)
@@ -87,24 +92,12 @@ def compare_all(
     predicted = predicted_values(scene, bands, binned, absorption)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     rows = [predicted[pair_of[m.pair_name]] for m in tabulated]
-    uses: list[Use] = ["fit" for _ in measurements.values]
-    uses += ["validate" for _ in measurements.kept_values]
     tables = compared_values(tabulated, rows, measurements.values, bands)
     of_tables = tuple(
-        ComparedPair(m.source, m.receiver, use, table, None, m.state)
-        for m, use, table in zip(tabulated, uses, tables, strict=True)
+        ComparedPair(m.source, m.receiver, m.use, table, None, m.state)
+        for m, table in zip(tabulated, tables, strict=True)
     )
     return observed + of_tables, chosen
-
-
-def _better(tried: BoolArray, by: Sequence[ComparedPair], of: Sequence[ComparedPair]) -> BoolArray:
-    """Return in which of some bands the first of two predictions is nearer to fitted responses."""
-    fitted = [(x, y) for x, y in zip(by, of, strict=True) if x.use == "fit"]
-    off = [(x.parameters[n].jnd, y.parameters[n].jnd) for x, y in fitted for n in x.parameters]
-    sizes = np.abs(np.array(off).reshape(-1, 2, len(tried)))
-    known = np.isfinite(sizes).all(axis=1, keepdims=True)
-    first, second = np.where(known, sizes, 0.0).sum(axis=0)
-    return np.asarray(tried & (first < second))
 
 
 def compare_pairs(
@@ -117,25 +110,28 @@ def compare_pairs(
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every measurement, fitted or kept for validation."""
 
+    def at(times_s: FloatArray, curve: DecayCurve) -> FloatArray:
+        """Return a curve in dB; NaN after its usable end."""
+        return np.where(times_s <= curve.usable_end_s[:, None], curve.levels_db(times_s), np.nan)
+
     def compared(m: MeasuredPair) -> ComparedPair:
         # the same reduction on both sides
-        curve = reduced_alike(
-            predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures), m.curve
+        own, curve = (
+            m.measurement,
+            predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures),
         )
-        predicted = room_parameters(curve)
-        others = [
-            o.parameters
-            for o in measured
-            if o.measurement.use == "fit" and o.measurement.state == m.measurement.state
-            if o is not m
-        ]
-        parameters: dict[str, Compared] = {}
+        curve = reduced_alike(curve, m.curve)
+        predicted, parameters = room_parameters(curve), dict[str, Compared]()
+        fitted = [o for o in measured if o.measurement.use == "fit" and o is not m]
+        others = [o.parameters for o in fitted if o.measurement.state == own.state]
         for name in PARAMETER_NAMES:
             found, expected = m.parameters.of(name), predicted.of(name)
             null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
             parameters[name] = Compared(found, expected, null, in_jnd(name, found, expected))
-        own = m.measurement
-        decay = _decay(m.curve, curve)
+        end_s = min(float(m.curve.usable_end_s.max()), float(curve.time_s[-1]))
+        times_s = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
+        noise_db = np.where(m.curve.noise_reached, -m.curve.usable_db, np.nan)
+        decay = Decay(times_s, at(times_s, m.curve), at(times_s, curve), noise_db)
         return ComparedPair(own.source, own.receiver, own.use, parameters, decay, own.state)
 
     return tuple(in_forks(compared, measured))
@@ -170,15 +166,3 @@ def curve_of(
         energy = np.maximum(energy + added, 0.0)
     direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
     return echogram_decay_curve(bands, energy, binned.edges_s, direct_s)
-
-
-def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:
-    end_s = min(float(measured.usable_end_s.max()), float(predicted.time_s[-1]))
-    times = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
-    noise_db = np.where(measured.noise_reached, -measured.usable_db, np.nan)
-    return Decay(times, _at(times, measured), _at(times, predicted), noise_db)
-
-
-def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:
-    """Return the curves in dB at given times; NaN after their usable end."""
-    return np.where(times <= curve.usable_end_s[:, None], curve.levels_db(times), np.nan)

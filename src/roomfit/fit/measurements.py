@@ -311,15 +311,14 @@ def _joined(
         if m.use == use:
             findings += m.findings
             same = by_pair.setdefault(m.pair_name, [])
-            same.append(m if not same else _in_bands_of(m, same[0].centres_hz))
+            if same:
+                at = same[0].centres_hz
+                values = {name: m.at(name, at) for name in m.values}
+                spread = {name: m.spread_at(name, at) for name in m.spread}
+                m = replace(m, centres_hz=at, values=values, spread=spread)
+            same.append(m)
     for repeated in by_pair.values():
         one, doubts = joined_values(tuple(repeated))
         findings += doubts
         joined.append(one)
     return tuple(joined), tuple(findings)
-
-
-def _in_bands_of(m: MeasuredValues, centres_hz: FloatArray) -> MeasuredValues:
-    values = {name: m.at(name, centres_hz) for name in m.values}
-    spread = {name: m.spread_at(name, centres_hz) for name in m.spread}
-    return replace(m, centres_hz=centres_hz, values=values, spread=spread)

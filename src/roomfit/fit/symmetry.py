@@ -54,11 +54,15 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
     """
     if room.states:
         parts, of_part = parts_of(room)
-        found_of_parts = room_symmetries(parts, tolerance_m)
-        each = (
-            (s, _of_materials(s.exchange, of_part, len(room.materials))) for s in found_of_parts
-        )
-        return tuple(replace(s, exchange=e) for s, e in each if e is not None)
+        kept = []
+        for symmetry in room_symmetries(parts, tolerance_m):
+            carried = np.arange(len(room.materials))
+            images = of_part[:, symmetry.exchange]
+            carried[of_part] = images
+            # unless a material has two images
+            if np.array_equal(carried[of_part], images) and np.unique(carried).size == carried.size:
+                kept.append(replace(symmetry, exchange=carried))
+        return tuple(kept)
     points, material = _surface_points(room, _SAMPLES)
     centre_m = _centroid_m(room)
     # isometries that differ for no point of the surface by more than twice the tolerance are one
@@ -87,14 +91,6 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
                     known.append(matrix)
                     grew = True
     return tuple(group)
-
-
-def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | None:
-    """Return where materials are carried if parts are; None where a material has two images."""
-    carried = np.arange(n)
-    carried[of_part] = of_part[:, exchange]
-    is_one = np.array_equal(carried[of_part], of_part[:, exchange])
-    return carried if is_one and np.unique(carried).size == n else None
 
 
 def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
@@ -209,11 +205,17 @@ def mirror_symmetries(
 ) -> tuple[Symmetry, ...]:
     """Return the symmetries of room and fitted pairs that exchange materials of equal priors."""
     scene = fitted_scene(measurements)
+    stated = [[p.position_sd_m for p in points] for points in (scene.sources, scene.receivers)]
+    sources, receivers = (
+        np.array([DEFAULT_POSITION_SD_M if sd is None else sd for sd in sds]) for sds in stated
+    )
+    sd_m = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
+    tolerance_m = _SYMMETRIC_WITHIN_SD * sd_m + 1e-3
     return tuple(
         symmetry
         for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
         if _priors_are_exchangeable(priors, symmetry.exchange)
-        and not np.any(deviation_m(symmetry, scene) > _tolerance_m(scene))
+        and not np.any(deviation_m(symmetry, scene) > tolerance_m)
     )
 
 
@@ -240,15 +242,3 @@ def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArr
         and (one.lower, one.upper) == (other.lower, other.upper)
         for one, other in ((priors[i], priors[exchange[i]]) for i in moved)
     )
-
-
-def _tolerance_m(scene: Scene) -> FloatArray:
-    """Return how far from symmetric each pair may be specified and still be symmetric."""
-    sources, receivers = (
-        np.array(
-            [DEFAULT_POSITION_SD_M if p.position_sd_m is None else p.position_sd_m for p in points]
-        )
-        for points in (scene.sources, scene.receivers)
-    )
-    sd = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
-    return np.asarray(_SYMMETRIC_WITHIN_SD * sd + 1e-3)

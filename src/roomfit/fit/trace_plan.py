@@ -104,7 +104,9 @@ def plan_trace(
     elif not is_box:
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         fineness = replace(fineness, image_order=order)
-    findings = _assumed_finding(priors, settings)
+    findings: tuple[Finding, ...] = ()
+    if names := [k.name for k in priors if k.scattering is None]:
+        findings = (scattering_assumed(names, settings.default_scattering),)
     if not images_alone:
         share = _OF_VALUES if by_values else _OF_THE_DATA
         fineness, few = _with_rays(
@@ -112,17 +114,6 @@ def plan_trace(
         )
         findings += few
     return TracePlan(fineness, scattering, findings)
-
-
-def _assumed_finding(priors: tuple[MaterialPrior, ...], settings: Settings) -> tuple[Finding, ...]:
-    names = [k.name for k in priors if k.scattering is None]
-    if not names:
-        return ()
-    assumed = settings.default_scattering
-    text = f"The scattering of {', '.join(names)} is unspecified; {assumed:g} was assumed."
-    evidence = {"materials": names, "scattering": assumed}
-    about, remedies = About(materials=names), scattering_remedies(names, assumed)
-    return (Finding(Code.SCATTERING_ASSUMED, about, text, evidence, remedies=remedies),)
 
 
 def traced_s(longest_decay_s: float, latest_window_s: float) -> float:
@@ -218,6 +209,18 @@ def _with_rays(
     )
     numbers = {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger}
     return fineness, (Finding(Code.FEW_RAYS, About(), text, numbers),)
+
+
+def scattering_assumed(names: Sequence[str], value: float, reason: str = "") -> Finding:
+    """Return that the scattering of some materials is unspecified, and what was assumed."""
+    text = f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}."
+    evidence, remedies = (
+        {"materials": list(names), "scattering": value},
+        scattering_remedies(names, value),
+    )
+    return Finding(
+        Code.SCATTERING_ASSUMED, About(materials=names), text, evidence, remedies=remedies
+    )
 
 
 def scattering_remedies(materials: Sequence[str], value: float) -> tuple[Remedy, ...]:

@@ -24,7 +24,7 @@ from roomfit.fit.trace_plan import (
     plan_trace,
     traced_s,
 )
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.materials.priors import unknown_material
 from roomfit.model.binned import BinnedPaths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.observation import spread_over_time
@@ -251,7 +251,13 @@ def trace_room(
     settings = Settings() if settings is None else settings
     bands, directivities = known.bands, known.directivities or {}
     absorption = known.absorption if absorption is None else absorption
-    priors, added = _scattering_priors(known), known.by_pressures
+    rows = np.full((len(known.materials), len(bands)), np.nan)
+    rows = rows if known.scattering is None else known.scattering
+    priors = tuple(  # nothing but the scattering, which the plan of a trace reads
+        replace(unknown_material(name, len(bands)), scattering=None if np.isnan(row).any() else row)
+        for name, row in zip(known.materials, rows, strict=True)
+    )
+    added = known.by_pressures
     added = np.zeros(len(bands), dtype=np.bool_) if added is None else added
     longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
 
@@ -289,7 +295,17 @@ def trace_room(
         if not short or longest_s >= _LONGEST_S:
             break
         longest_s *= _LONGER
-    return replace(room, findings=(*room.findings, *_short_finding(bands, short)))
+    if not short:
+        return room
+    bands_hz = bands.centres_hz[short].tolist()
+    text = (
+        "The trace does not follow the decay over 35 dB at "
+        f"{', '.join(f'{f:g}' for f in bands_hz)} Hz: T30 is not predicted there. Some walls "
+        "absorb next to nothing."
+    )
+    about = About(bands_hz=bands_hz)
+    finding = Finding(Code.DECAY_NOT_FOLLOWED, about, text, {"bands_hz": bands_hz})
+    return replace(room, findings=(*room.findings, finding))
 
 
 def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
@@ -302,34 +318,9 @@ def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatAr
     return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
 
 
-def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
-    """Return priors that hold nothing but the scattering, as the plan of a trace reads them."""
-    n = len(known.bands)
-    rows = np.full((len(known.materials), n), np.nan)
-    if known.scattering is not None:
-        rows = known.scattering
-    return tuple(
-        replace(unknown_material(name, n), scattering=None if np.isnan(row).any() else row)
-        for name, row in zip(known.materials, rows, strict=True)
-    )
-
-
-def _short_bands(room: TracedRoom, absorption: FloatArray) -> Sequence[int]:
+def _short_bands(room: TracedRoom, absorption: FloatArray) -> list[int]:
     """Return the bands in which the decay of some pair is not followed far enough."""
     known = room.scene, room.bands, room.binned
     pairs = range(len(room.scene.pairs))
     usable_db = np.array([predicted_curve(*known, i, absorption).usable_db for i in pairs])
     return np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB).tolist()
-
-
-def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
-    if not short:
-        return ()
-    bands_hz = [float(bands.centres_hz[j]) for j in short]
-    text = (
-        "The trace does not follow the decay over 35 dB at "
-        f"{', '.join(f'{f:g}' for f in bands_hz)} Hz: T30 is not predicted there. Some walls "
-        "absorb next to nothing."
-    )
-    about = About(bands_hz=bands_hz)
-    return (Finding(Code.DECAY_NOT_FOLLOWED, about, text, {"bands_hz": bands_hz}),)

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from roomfit.base.arguments import float_array
-from roomfit.base.errors import InputError
 from roomfit.base.forks import count_evaluation
 from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import FloatArray
@@ -72,11 +71,6 @@ class Observation:
         for name in ("energy", "noise"):
             values = float_array(f"window {name}", getattr(self, name), (n,), low=0.0)
             object.__setattr__(self, name, values)
-        if self.spreading.shape[0] != n:
-            raise InputError(
-                "shares and windows differ in number",
-                found=f"{self.spreading.shape[0]} and {n}",
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.base.arguments import bool_array, float_array, int_array
-from roomfit.base.errors import InputError
+from roomfit.base.arguments import float_array, read_only
 from roomfit.base.logit import logit
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 
@@ -52,27 +51,9 @@ class Block:
         for name in ("start", "prior_mean", "lower", "upper"):
             values = float_array(f"{self.name} {name}", getattr(self, name), (n,))
             object.__setattr__(self, name, values)
-        sd = np.array(self.prior_sd, dtype=np.float64)
-        if sd.shape != (n,) or not np.all(sd > 0.0):
-            raise InputError(f"prior of {self.name} needs a standard deviation above zero")
-        sd.setflags(write=False)
-        object.__setattr__(self, "prior_sd", sd)
-        object.__setattr__(self, "fitted", bool_array(f"{self.name} fitted", self.fitted, (n,)))
-        if self.leader is not None:
-            leader = int_array(
-                f"{self.name} leaders", self.leader, (n,), np.int64, low=0, high=n - 1
-            )
-            follows = leader != np.arange(n)
-            if np.any(follows & self.fitted) or np.any(follows[leader[follows]]):
-                raise InputError(f"an entry of {self.name} that follows another must not lead")
-            object.__setattr__(self, "leader", leader)
-        if self.correlation is not None:
-            values = float_array(f"{self.name} correlation", self.correlation, (n, n))
-            object.__setattr__(self, "correlation", values)
-        bad = np.flatnonzero(self.lower >= self.upper)
-        if bad.size:
-            i = int(bad[0])
-            raise InputError(f"no room between the bounds of {self.name} of {self.labels[i]!r}")
+        for name in ("prior_sd", "fitted", "leader", "correlation"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, read_only(np.array(getattr(self, name))))
 
 
 def unit_block(name: str, labels: tuple[str, ...], fitted: BoolArray) -> Block:

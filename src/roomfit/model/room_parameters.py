@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar, NamedTuple
@@ -11,9 +11,7 @@ import numpy as np
 from scipy import fft
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.base.arguments import check_range
 from roomfit.base.bands import Bands
-from roomfit.base.errors import InputError
 from roomfit.base.forks import count_evaluation
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior
@@ -42,9 +40,7 @@ from roomfit.model.windows import (
 from roomfit.room.mesh import box_of
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
-from roomfit.signals.filters import (
-    statistical_bandwidth_hz,
-)
+from roomfit.signals.filters import statistical_bandwidth_hz
 from roomfit.signals.iso3382 import (
     VALUE_NAMES,
     MeasuredValues,
@@ -93,14 +89,6 @@ class ValuesTerm(DataTerm):
     _last: dict[bytes, list[_Decay]] = field(default_factory=dict, init=False, repr=False)
     # correlation lengths by absorption: fits of a band begin at the same
     _shared: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        unit = "just noticeable differences"
-        check_range("the model error", self.model_error_jnd, 0.0, 100.0, unit)
-        if not self.observations:
-            what = "no measured room parameter in a band"
-            needed = "one value or more"
-            raise InputError(what, found="none", needed=needed, hint="leave the band out")
 
     def measured(self) -> FloatArray:
         """Return the measured values, pair after pair, shape (n_values,)."""
@@ -193,18 +181,11 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
     pressures add up to beside their energies; the number of rays; and the error of the model, which
     those read from the decay share, and those read from early against late.
 
-    Shape (n_values, n_values).
-
-    The energy of a band of bandwidth B scatters about the sum of the paths' energies like white
-    noise of the spectral density ``(P^2 - Q) / B``, P the power spread by the filter and Q that of
-    single reflections, which interfere with nothing. Carried through the derivatives of a value
-    this is its variance to first order. For an exponential decay it gives the theory of [1]_, on
-    which ISO 354 and ISO 3382-2 build: ``0.55 T30 (B T30) ** -0.5`` for many averaged decays.
-
-    References
-    ----------
-    .. [1] J. L. Davy, I. P. Dunn, P. Dubout, "The variance of decay rates in reverberation rooms",
-           Acustica 43, 12-25 (1979).
+    The energy of a band of bandwidth B scatters like white noise of the spectral density
+    ``(P^2 - Q) / B``, P the power spread by the filter and Q that of single reflections. Carried
+    through the derivatives of a value this is its variance to first order; for an exponential decay
+    the theory of J. L. Davy, I. P. Dunn, P. Dubout, Acustica 43, 12 (1979), on which ISO 354 and
+    ISO 3382-2 build.
     """
     covariances = []
     known = term._last.pop(absorption.tobytes(), None)
@@ -227,7 +208,10 @@ def scatter_parts(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return numbers read from the decay of a pair, and how measured ones scatter about them."""
     own = _decay(term, i, absorption, read) if decay is None else decay
-    interference = _interference(term, own)
+    single = spread_squared_energy(term.spreading, own.squares)
+    overlapping = np.maximum(own.spread**2 - single, 0.0)
+    variance = overlapping / (term.bandwidth_hz * np.diff(term.edges_s))
+    interference = np.asarray((own.gradients * variance) @ own.gradients.T)
     added = np.zeros_like(own.values)
     if term.rows[i].length_m.any():
         by_pressures = curve_by_pressures(term, i, absorption, own.energy[None])
@@ -275,13 +259,6 @@ def _curve(term: ValuesTerm, i: int, energy: FloatArray) -> tuple[DecayCurve, Fl
     spread = spread_energy(term.spreading, energy)
     direct_s = term.observations[i].direct_s
     return echogram_decay_curve(term.bands, spread, term.edges_s, direct_s), spread[0]
-
-
-def _interference(term: ValuesTerm, own: _Decay) -> FloatArray:
-    single = spread_squared_energy(term.spreading, own.squares)
-    overlapping = np.maximum(own.spread**2 - single, 0.0)
-    variance = overlapping / (term.bandwidth_hz * np.diff(term.edges_s))
-    return np.asarray((own.gradients * variance) @ own.gradients.T)
 
 
 def curve_by_pressures(
@@ -333,17 +310,14 @@ def value_terms(
     names: Sequence[ValueName] = VALUE_NAMES,
 ) -> tuple[ValuesTerm | None, ...]:
     """Return the term of every band, over all given values; None where a band has none."""
-    pairs = _pairs(scene, measured)
+    index = {name: i for i, name in enumerate(pair_names(scene))}
     coarse = coarser(binned, _BINS_AS_ONE)
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
     in_lattice = box_of(scene.room.mesh) is not None
     terms: list[ValuesTerm | None] = []
     for band, centre_hz in enumerate(bands.centres_hz):
-        observed = [
-            _observation(pair, float(direct_s[pair]), m, float(centre_hz), names)
-            for pair, m in zip(pairs, measured, strict=True)
-        ]
+        observed = [_observation(index, direct_s, m, float(centre_hz), names) for m in measured]
         observations = tuple(o for o in observed if o.names)
         if not observations:
             terms.append(None)
@@ -352,25 +326,15 @@ def value_terms(
         m = float(attenuation[band])
         fine_rows = rows_at(coarse, centre_hz)
         rows = {o.pair: _lattice_rows(fine_rows[o.pair], m, in_lattice) for o in observations}
-        terms.append(
-            ValuesTerm(
-                one,
-                float(statistical_bandwidth_hz(one)[0]),
-                0.0,
-                coarse.edges_s,
-                tuple(rows[o.pair] for o in observations),
-                observations,
-                _spreading(one, coarse.edges_s),
-            )
-        )
+        own = tuple(rows[o.pair] for o in observations)
+        width_hz, edges_s = float(statistical_bandwidth_hz(one)[0]), coarse.edges_s
+        spreading = _spreading(one, edges_s)
+        terms.append(ValuesTerm(one, width_hz, 0.0, edges_s, own, observations, spreading))
     return tuple(terms)
 
 
 def _lattice_rows(rows: EnergyRows, attenuation_per_m: float, in_lattice: bool) -> EnergyRows:
-    """Return rows in air; images in a box of smooth walls keep their lengths, all else has 0.
-
-    To be weighed without attenuation: lengths tell only when these images arrive.
-    """
+    """Return rows in air; images in a box of smooth walls keep their lengths, all else has 0."""
     image = rows.batch < 0
     unscattered = rows.weight_per_m2 * 4.0 * np.pi * rows.length_m**2
     smooth = in_lattice and bool(np.all(unscattered[image] > 0.999))
@@ -381,10 +345,7 @@ def _lattice_rows(rows: EnergyRows, attenuation_per_m: float, in_lattice: bool) 
 def without_responses(
     terms: tuple[DataTerm, ...], priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
 ) -> Objective | None:
-    """Return the objective of a band's data beside responses by themselves, None without any.
-
-    Shapes: `start` (n_bands,).
-    """
+    """Return the objective of a band's data beside responses by themselves, None without any."""
     if not terms:
         return None
     absorption = absorption_block(priors, band, float(start[band]))
@@ -409,10 +370,7 @@ def predicted_values(
     absorption: FloatArray,
     names: Sequence[ValueName] = VALUE_NAMES,
 ) -> FloatArray:
-    """Return the room parameters that the paths predict, shape (n_pairs, n_names, n_bands).
-
-    Shapes: `absorption` (n_materials, n_bands).
-    """
+    """Return the room parameters that the paths predict, shape (n_pairs, n_names, n_bands)."""
     air, coarse = attenuation_per_m(scene.air, bands), coarser(binned, _BINS_AS_ONE)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
     return np.stack(
@@ -458,34 +416,17 @@ def _spreading(bands: Bands, edges_s: FloatArray) -> Spreading:
     return band_spreading(bands, edges_s.size - 1, float(edges_s[1] - edges_s[0]))
 
 
-def _pairs(scene: Scene, measured: Sequence[MeasuredValues]) -> list[int]:
-    index = {name: i for i, name in enumerate(pair_names(scene))}
-    found = []
-    for m in measured:
-        key = m.pair_name
-        if key not in index or index[key] in found:
-            raise InputError(
-                "measured values of a pair that the scene "
-                + ("lacks" if key not in index else "has once, given twice"),
-                found=f"{m.source} to {m.receiver}",
-                needed=", ".join(f"{s} to {r}" for s, r, _ in index),
-                hint="define the source and the receiver; join what was measured twice",
-            )
-        found.append(index[key])
-    return found
-
-
 def _observation(
-    pair: int, direct_s: float, m: MeasuredValues, centre_hz: float, names: Sequence[ValueName]
+    index: Mapping[tuple[str, str, str], int],
+    direct_s: FloatArray,
+    m: MeasuredValues,
+    centre_hz: float,
+    names: Sequence[ValueName],
 ) -> ValueObservation:
     at = np.array([centre_hz])
     found = {n: float(m.at(n, at)[0]) for n in names}
     known = tuple(n for n in names if np.isfinite(found[n]))
     spread = [float(m.spread_at(n, at)[0]) for n in known]
-    return ValueObservation(
-        pair,
-        direct_s,
-        known,
-        np.array([found[n] for n in known]),
-        np.where(np.isfinite(spread), spread, 0.0),
-    )
+    pair, values = index[m.pair_name], np.array([found[n] for n in known])
+    spread_or_0 = np.where(np.isfinite(spread), spread, 0.0)
+    return ValueObservation(pair, float(direct_s[pair]), known, values, spread_or_0)

@@ -160,18 +160,16 @@ def sampling_groups(
             share = np.round(moved / moved[-1] * (n_groups - 1)).astype(np.int64)
             if n_groups == n_steps + 1:
                 share = np.cumsum(np.append(False, np.diff(moved) > 0.0))
-            groups = np.stack([_means(wanted[:, share == number]) for number in np.unique(share)])
+            rows = [wanted[:, share == number] for number in np.unique(share)]
+            # to the last bit where all of a row are equal
+            means = [np.where(np.ptp(r, axis=1) == 0.0, r[:, 0], r.mean(axis=1)) for r in rows]
+            groups = np.stack(means)
         fraction = float(effective_fractions(groups, wanted, hits, rng).min())
         if fraction > largest:
             best, largest = groups, fraction
         if fraction >= WANTED_EFFECTIVE_FRACTION:
             break
     return best
-
-
-def _means(rows: FloatArray) -> FloatArray:
-    """Return the mean of each row, to the last bit where all of a row are equal."""
-    return np.where(np.ptp(rows, axis=1) == 0.0, rows[:, 0], rows.mean(axis=1))
 
 
 def effective_fractions(
