@@ -76,8 +76,7 @@ def identify(
 ) -> Result:
     """Return the absorption of every material of a measured room in every band.
 
-    Traces the room once, fits every band, finds 95 % confidence intervals, and predicts every
-    measured pair.
+    The model is that of docs/how-it-works.md; its references stand with each part.
 
     Parameters
     ----------
@@ -104,10 +103,6 @@ def identify(
     InsufficientDataError
         The data cannot be fitted at all.
 
-    Notes
-    -----
-    The model is that of docs/how-it-works.md; its references stand with each part.
-
     Examples
     --------
     A plastered box whose reverberation time was measured, and nothing else.
@@ -124,8 +119,10 @@ def identify(
     began, progress = time.perf_counter(), in_this_process(progress)
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
-    names = [p.name for p in (*scene.sources, *scene.receivers)]
-    check_groups({g.name: g.members for g in scene.groups}, names)
+    check_groups(
+        {g.name: g.members for g in scene.groups},
+        [p.name for p in (*scene.sources, *scene.receivers)],
+    )
     _LOG.info("evaluating the measurements")
     given = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
     before = examine(BEFORE_THE_FIT, given)
@@ -133,20 +130,17 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     with counted_evaluations() as made:
-        middle = 0.49 if scene.groups else 0.98
-        early, again = part(progress, 0.02, middle), part(progress, middle, 0.98)
-        traced, fits = _fitted(given.measured, priors, settings, early)
-        observed, traced, fits = _with_positions_examined(
-            given, measurements, priors, (traced, fits), settings, again
+        observed, traced, fits = _fitted_where_it_stands(
+            given, measurements, priors, settings, progress
         )
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
-    trim_memory()
-    if fits.directivities:
-        traced = redirected(observed.measured, traced, fits.directivities)
-    areas_m2 = material_areas_m2(scene.room)
-    fits = replace(fits, answers=with_errors_of_all_bands(fits.answers, areas_m2, fits.added))
-    _check_any_fitted(fits)
+    if all(answer.model == "prior" for answer in fits.answers):
+        raise InsufficientDataError(
+            "no band has enough windows above the noise",
+            needed="in some band, more windows than unknown absorptions and gains",
+            hint="choose other bands with from_hz and to_hz, or measure with less noise",
+        )
     _LOG.info("predicting the measured pairs")
     trim_memory()
     evidence = fitted_evidence(observed, priors, traced, fits, settings)
@@ -192,37 +186,43 @@ def _fitted(
     return traced, estimate_energies(measured, priors, traced, start, settings, refine, late)
 
 
-def _with_positions_examined(
+def _fitted_where_it_stands(
     given: Recorded,
     measurements: Sequence[Measurement | MeasuredValues],
     priors: tuple[MaterialPrior, ...],
-    fitted: tuple[TracedPaths, BandFits],
     settings: Settings,
     progress: Progress | None,
 ) -> tuple[Recorded, TracedPaths, BandFits]:
-    """Return the room as it was fitted, with what is displaced in it.
+    """Return the room as it was fitted, with what is displaced in it and errors of all bands.
 
     Where offsets are stated, the room is traced and fitted again at the most likely ones.
     """
-    observed, (traced, fits), measured = given, fitted, given.measured
-    if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
-        return given, traced, fits  # the paper's searches take positions as specified
-    _LOG.info("examining positions and lengths")
+    observed, measured = given, given.measured
+    middle = 0.49 if measured.scene.groups else 0.98
+    traced, fits = _fitted(measured, priors, settings, part(progress, 0.02, middle))
+    # the paper's searches take positions as specified
+    if not settings.quick and settings.method in LEAST_SQUARES_METHODS:
+        _LOG.info("examining positions and lengths")
+        trim_memory()
+        offsets = offsets_of(measured.scene)
+        is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
+        found = located(measured, priors, traced, fits, offsets, np.zeros(len(offsets)))
+        if is_stated.any() and found is not None:
+            moved_m = np.where(is_stated, found.shift_m, 0.0)
+            scene = displaced(measured.scene, offsets, moved_m)
+            range_db, patterns = settings.decay_range_db, measured.directivities
+            observed = recorded(scene, measurements, measured.bands, patterns, range_db)
+            measured = observed.measured
+            traced, fits = _fitted(measured, priors, settings, part(progress, middle, 0.98))
+            found = located(measured, priors, traced, fits, offsets, moved_m)
+        fits = fits if found is None else with_offsets(fits, found)
     trim_memory()
-    offsets = offsets_of(measured.scene)
-    is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
-    found = located(measured, priors, traced, fits, offsets, np.zeros(len(offsets)))
-    if is_stated.any() and found is not None:
-        moved_m = np.where(is_stated, found.shift_m, 0.0)
-        scene = displaced(measured.scene, offsets, moved_m)
-        range_db, patterns = settings.decay_range_db, measured.directivities
-        observed = recorded(scene, measurements, measured.bands, patterns, range_db)
-        measured = observed.measured
-        traced, fits = _fitted(measured, priors, settings, progress)
-        found = located(measured, priors, traced, fits, offsets, moved_m)
-    if found is not None:
-        fits = with_offsets(fits, found)
-    return observed, traced, fits
+    if fits.directivities:
+        traced = redirected(measured, traced, fits.directivities)
+    answers = with_errors_of_all_bands(
+        fits.answers, material_areas_m2(given.measured.scene.room), fits.added
+    )
+    return observed, traced, replace(fits, answers=answers)
 
 
 def _warn_first(findings: Sequence[Finding]) -> None:
@@ -234,15 +234,6 @@ def _warn_first(findings: Sequence[Finding]) -> None:
         _LOG.warning(
             "the fit goes on, but will call no material identifiable: to set this right first, "
             "stop it with Ctrl-C"
-        )
-
-
-def _check_any_fitted(fits: BandFits) -> None:
-    if all(answer.model == "prior" for answer in fits.answers):
-        raise InsufficientDataError(
-            "no band has enough windows above the noise",
-            needed="in some band, more windows than unknown absorptions and gains",
-            hint="choose other bands with from_hz and to_hz, or measure with less noise",
         )
 
 

@@ -48,8 +48,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     covariance = evidence.logit_covariance
     misses = certain_misses(measured, traced, misses, absorption, covariance, settings)
     if misses:
-        tried = () if settings.quick else misses
-        by_scattering = _decays_by_scattering(measured, traced, absorption, settings, tried)
+        by_scattering = {} if settings.quick else _decays_by_scattering(evidence, misses)
         yield _finding(evidence, misses, by_scattering)
 
 
@@ -61,6 +60,11 @@ class DecayMiss(NamedTuple):
     # noticeable differences (5 %), with the standard deviation of that mean
     jnd: dict[str, tuple[float, float]]
     number: int  # of pairs at most
+
+    @property
+    def worst(self) -> str:
+        """The parameter that is missed most."""
+        return max(self.jnd, key=lambda name: abs(self.jnd[name][0]))
 
 
 def decay_misses(
@@ -82,6 +86,10 @@ def decay_misses(
     too: by parameter, measured and fitted values of each file, (2, n_files).
     """
     bandwidth_hz, found = bands.upper_hz - bands.lower_hz, []
+
+    def is_missed(mean: float, sd: float) -> bool:
+        return abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd)
+
     for band in np.flatnonzero(fitted).tolist():
         missed, number = {}, 0
         windows = by_pressures[band] if by_pressures else {}
@@ -92,22 +100,18 @@ def decay_misses(
             if name == "EDT_s" and jnd.size < _FEWEST_FOR_SCATTER:
                 continue
             mean, sd = mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * times_s))
-            if not _is_missed(mean, sd):
+            if not is_missed(mean, sd):
                 continue
             number = max(number, jnd.size)
             if name in windows:
                 both = windows[name][:, np.isfinite(windows[name]).all(axis=0)]
                 scatter = factor / np.sqrt(bandwidth_hz[band] * both[0])
-                if not _is_missed(*mean_miss((both[1] / both[0] - 1.0) / 0.05, scatter)):
+                if not is_missed(*mean_miss((both[1] / both[0] - 1.0) / 0.05, scatter)):
                     continue
             missed[name] = mean, float(sd)
         if not missed.keys() <= {"T30_s"}:
             found.append(DecayMiss(band, missed, number))
     return tuple(found)
-
-
-def _is_missed(mean: float, sd: float) -> bool:
-    return abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd)
 
 
 def mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
@@ -211,34 +215,26 @@ def certain_misses(
 
 
 def _decays_by_scattering(
-    measured: Measurements,
-    traced: TracedPaths,
-    absorption: FloatArray,
-    settings: Settings,
-    misses: Sequence[DecayMiss],
+    evidence: Evidence, misses: Sequence[DecayMiss]
 ) -> dict[float, FloatArray]:
     """Return what the same absorption would miss with one scattering on all walls, by coefficient.
 
     Of the parameter that is missed most in each band, in JND, by few rays of omnidirectional
     sources.
     """
-    if not misses:
-        return {}
-    scene, chosen = measured.scene, [m.band for m in misses]
-    worst = [max(m.jnd, key=lambda name: abs(m.jnd[name][0])) for m in misses]
-    fitted = _mean_times_s(measured, traced.binned, absorption, chosen)
+    measured, used, settings = evidence.measured, evidence.traced.settings, evidence.settings
+    chosen, absorption = [m.band for m in misses], evidence.absorption
+    fitted = _mean_times_s(measured, evidence.traced.binned, absorption, chosen)
+    rays = settings.n_scattering_rays, used.receiver_radius_m, settings.seed
     shortened = TraceSettings(
-        traced.settings.duration_s,
-        n_rays=settings.n_scattering_rays,
-        receiver_radius_m=traced.settings.receiver_radius_m,
-        seed=settings.seed,
+        used.duration_s, n_rays=rays[0], receiver_radius_m=rays[1], seed=rays[2]
     )
-    retracer, found = Retracer(scene, measured.bands, shortened), {}
+    retracer, found = Retracer(measured.scene, measured.bands, shortened), {}
     for s in _TRIED_SCATTERING:
-        binned = retracer.at(uniform_scattering(scene.room.materials, s))
+        binned = retracer.at(uniform_scattering(evidence.materials, s))
         times_s = _mean_times_s(measured, binned, absorption, chosen)
-        each = enumerate(zip(misses, worst, strict=True))
-        ratios = [(20.0 + m.jnd[n][0]) * times_s[n][i] / fitted[n][i] for i, (m, n) in each]
+        each = [(i, m.worst, m.jnd[m.worst][0]) for i, m in enumerate(misses)]
+        ratios = [(20.0 + jnd) * times_s[n][i] / fitted[n][i] for i, n, jnd in each]
         found[s] = np.array(ratios) - 20.0
     return found
 
@@ -258,26 +254,22 @@ def _finding(
         )
     numbers = [m.band for m in misses]
     bands_hz = bands.centres_hz[numbers].tolist()
-    worst = [max(m.jnd.values(), key=lambda v: abs(v[0]))[0] for m in misses]
-    causes = _causes(evidence.priors, worst, by_scattering)
-    return Finding(
-        Code.DECAY_NOT_REPRODUCED,
-        About(bands_hz=bands_hz),
+    causes = _causes(evidence.priors, [m.jnd[m.worst][0] for m in misses], by_scattering)
+    text = (
         "The decay of the fitted pairs is not reproduced (predicted against measured, mean "
         f"over pairs): {bands_in_words(bands, numbers, notes)}. {' '.join(causes)} No "
-        "absorption is called identifiable there.",
-        {
-            "bands_hz": bands_hz,
-            "jnd": [{n: round(v, 2) for n, (v, _) in m.jnd.items()} for m in misses],
-            "sd_jnd": [{n: round(sd, 2) for n, (_, sd) in m.jnd.items()} for m in misses],
-            "pairs": [m.number for m in misses],
-            "mean_absorption": [round(float(means[b]), 4) for b in numbers],
-            "mean_absorption_by_eyring": [round(float(by_eyring[b]), 4) for b in numbers],
-            "jnd_by_scattering": {
-                f"{s:g}": np.round(jnd, 2).tolist() for s, jnd in by_scattering.items()
-            },
-        },
+        "absorption is called identifiable there."
     )
+    evidence_of_it = {
+        "bands_hz": bands_hz,
+        "jnd": [{n: round(v, 2) for n, (v, _) in m.jnd.items()} for m in misses],
+        "sd_jnd": [{n: round(sd, 2) for n, (_, sd) in m.jnd.items()} for m in misses],
+        "pairs": [m.number for m in misses],
+        "mean_absorption": [round(float(means[b]), 4) for b in numbers],
+        "mean_absorption_by_eyring": [round(float(by_eyring[b]), 4) for b in numbers],
+        "jnd_by_scattering": {f"{s:g}": np.round(x, 2).tolist() for s, x in by_scattering.items()},
+    }
+    return Finding(Code.DECAY_NOT_REPRODUCED, About(bands_hz=bands_hz), text, evidence_of_it)
 
 
 def _causes(

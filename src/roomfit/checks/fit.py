@@ -25,13 +25,11 @@ def check_data(evidence: Evidence) -> Iterator[Finding]:
     answers = zip(evidence.measured.bands.centres_hz, evidence.fits.answers, strict=True)
     empty = [float(f) for f, answer in answers if answer.model == "prior"]
     if empty:
-        yield Finding(
-            Code.BAND_NOT_FITTED,
-            About(bands_hz=empty),
+        text = (
             f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
-            "absorption there is its prior, with the interval 0 to 1 where none was stated.",
-            {"bands_hz": empty},
+            "absorption there is its prior, with the interval 0 to 1 where none was stated."
         )
+        yield Finding(Code.BAND_NOT_FITTED, About(bands_hz=empty), text, {"bands_hz": empty})
 
 
 def check_bands(evidence: Evidence) -> Iterator[Finding]:
@@ -40,15 +38,13 @@ def check_bands(evidence: Evidence) -> Iterator[Finding]:
     bad = [j for j, a in enumerate(answers) if a.chi2_reduced > LARGEST_CHI2_REDUCED]
     if bad:
         values = [f"{answers[j].chi2_reduced:.1f}" for j in bad]
-        bands_hz = bands.centres_hz[bad].tolist()
-        yield Finding(
-            Code.MODEL_DOES_NOT_FIT,
-            About(bands_hz=bands_hz),
+        text = (
             "The model does not explain the data within their noise; the reduced chi-square is "
             f"{bands_in_words(bands, bad, values)}. No material is called identifiable there, "
-            "and intervals are widened by the misfit.",
-            {"bands_hz": bands_hz},
+            "and intervals are widened by the misfit."
         )
+        hz = bands.centres_hz[bad].tolist()
+        yield Finding(Code.MODEL_DOES_NOT_FIT, About(bands_hz=hz), text, {"bands_hz": hz})
 
 
 def check_convergence(evidence: Evidence) -> Iterator[Finding]:

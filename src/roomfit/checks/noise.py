@@ -282,10 +282,8 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     half_free = 0.5 * (last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2))
     if 2.0 * np.min(half_free) < _FEWEST_FREE:
         return None
+    middle_s = np.asarray(0.5 * (first + last) / rate_hz)
+    level = np.log(energy) - (digamma(half_free) - np.log(half_free))
     return _Levels(
-        np.asarray(0.5 * (first + last) / rate_hz),
-        np.asarray(np.log(energy) - (digamma(half_free) - np.log(half_free))),
-        np.asarray(polygamma(1, half_free)),
-        0.5 * sum(early) / rate_hz,
-        float(np.log(loud)),
+        middle_s, level, polygamma(1, half_free), 0.5 * sum(early) / rate_hz, float(np.log(loud))
     )
