@@ -315,54 +315,6 @@ def test_from_a_typed_box_and_dropped_files(browser: Any, demo: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
-def test_a_remedy_is_shown_applied_and_undone_by_the_keyboard(
-    browser: Any, demo: Path, tmp_path: Path, width: int, scheme: str
-) -> None:
-    """A recording that was made softer; it can be read, and nothing is wider than the page."""
-    import soundfile
-
-    folder = tmp_path / "project"
-    shutil.copytree(demo, folder)
-    samples, rate_hz = soundfile.read(folder / "LS1_MP3.wav")
-    soundfile.write(folder / "LS1_MP3.wav", 0.2 * samples, rate_hz, subtype="FLOAT")
-    file = folder / "campaign.toml"
-    before = file.read_text()
-
-    with running(folder) as server:
-        visit = Visit(browser, server, width, scheme)
-        page = visit.page
-        visit.tab("Measurements")
-        remedy = page.get_by_role("button", name='Set level = "per-file" for LS1_MP3.wav')
-        remedy.wait_for()
-        visit.is_readable()
-        remedy.press("Enter")
-        shown = page.get_by_role("dialog", name="What is written")
-        shown.get_by_text("[[measurements]], no. 3").wait_for()
-        assert shown.get_by_text("not stated").count() == 1
-        visit.is_readable()
-        page.keyboard.press("Escape")
-        shown.wait_for(state="detached")
-        assert file.read_text() == before
-        remedy.press("Enter")
-        apply = shown.get_by_role("button", name="Apply")
-        apply.wait_for()
-        page.wait_for_function("() => document.activeElement.textContent === 'Apply'")
-        page.keyboard.press("Enter")
-        undo = page.get_by_role("button", name="Undo the last remedy")
-        undo.wait_for()
-        remedy.wait_for(state="detached")
-        row = 'file = "LS1_MP3.wav"\n'
-        assert file.read_text() == before.replace(row, row + 'level = "per-file"\n')
-        page.reload()
-        visit.tab("Measurements")
-        undo.press("Enter")
-        remedy.wait_for()
-        assert file.read_text() == before
-        assert visit.foreign == [] and visit.errors == []
-        visit.context.close()
-
-
-@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
 def test_it_can_be_read_and_named_everywhere(
     browser: Any, answered: Running, width: int, scheme: str
 ) -> None:

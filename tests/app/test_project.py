@@ -26,7 +26,7 @@ from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.edits import apply, preview
 from roomfit.files.schema import RoomSpec
-from scans import HEIGHT_M, furniture, scan, scan_usdz
+from scans import furniture, scan, scan_usdz
 
 
 def nothing(_: float) -> None:
@@ -76,18 +76,6 @@ def test_a_scan_that_is_sent_is_the_room_of_the_command(tmp_path: Path, name: st
     assert project.campaign_content(tmp_path)["objects"]["bed"] == bed
     views.set_room(tmp_path, shoebox=[5.0, 4.0, 3.0])
     assert "bed" not in project.campaign_content(tmp_path).get("objects", {})
-
-
-def test_of_a_scan_of_several_rooms_one_is_named(tmp_path: Path) -> None:
-    box = [(0, 0), (4, 0), (4, 3), (0, 3)]
-    rooms = [scan(), {**scan(box), "sections": [{"label": "kitchen"}]}]
-    (tmp_path / "flat.json").write_text(json.dumps({"rooms": rooms}))
-    views.look_at_upload(tmp_path, "room", "flat.json")
-    with pytest.raises(InputError, match="'livingRoom', 'kitchen'"):
-        views.set_room(tmp_path, file="flat.json", unit=None, space="")
-    views.set_room(tmp_path, file="flat.json", unit=None, space="kitchen")
-    view = views.room_view(tmp_path)
-    assert view["volume_m3"] == pytest.approx(12.0 * HEIGHT_M, rel=1e-5)
 
 
 def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(box: Path) -> None:

@@ -17,7 +17,7 @@ from nicegui.page import page
 from roomfit.app import page as own_page
 from roomfit.app import project, tasks, views
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
-from roomfit.app.measurements_tab import MeasurementsTab, MeasureTab
+from roomfit.app.measurements_tab import MeasureTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
 
 ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
@@ -187,27 +187,6 @@ async def answer(bench: Bench, tab: own_page.Tab, view: Any) -> None:
     asked, waiting = await ask(bench, tab)
     asked.set_result(view)
     await waiting
-
-
-def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
-    view = views.recordings_view(folder)
-    lone = {"kind": "sources", "name": "LS1", "position_m": None}
-
-    async def whole() -> None:
-        tab, bench, _ = tab_of(MeasurementsTab, folder)
-        await answer(bench, tab, {**view, "positions": [lone]})
-        fields = tab.fields["sources", "LS1"]
-        for field, value in zip(fields[:2], (1.0, 2.0), strict=True):
-            field.set_value(value)
-        await tab.type_position("sources", "LS1")
-        assert "LS1" not in project.campaign_file(folder).read_text()
-        fields[2].set_value(1.5)
-        typing = asyncio.ensure_future(tab.type_position("sources", "LS1"))
-        await asyncio.sleep(0)
-        assert "position = [1.0, 2.0, 1.5]" in project.campaign_file(folder).read_text()
-        typing.cancel()
-
-    asyncio.run(whole())
 
 
 def test_changes_are_factors_on_what_was_found_and_forget_materials_that_are_gone() -> None:

@@ -17,9 +17,8 @@ from nicegui import Client, ui
 from nicegui.page import page
 
 from roomfit.app import project, tasks, views
-from roomfit.app.answer_tabs import IdentifyTab, ReportTab
 from roomfit.app.what_if import written_question
-from roomfit.app.what_if_tab import TreatmentForm, WhatIfTab
+from roomfit.app.what_if_tab import TreatmentForm
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.treat.campaign import read_treatment
@@ -171,51 +170,6 @@ def test_a_volume_and_a_surface_have_one_slider_and_nothing_to_cover(tmp_path: P
     assert list(view["absorption"]) == ["room"] and view["treatment"] is None
     after = tasks.what_if(tmp_path, ["room=x2"])["mean"]["T30_s"]
     assert after["before"][0] == pytest.approx(1.3) and after["predicted"][0] < 0.7
-
-
-def test_what_a_project_of_decay_times_offers_is_what_decay_times_give(hall: Path) -> None:
-    """No identification that cannot be; with a recording named, that too."""
-
-    class Answers:
-        """A project whose answers are those of the worker."""
-
-        def __init__(self) -> None:
-            self.folder, self.what_if, self.reader = hall, self, self
-
-        async def ask(self, task: str, _: Any = None, own: Any = None, **more: Any) -> Any:
-            more.pop("limit_s", None)
-            return tasks.carry_out(nothing, task, str(hall), own or more)
-
-    async def whole() -> None:
-        client = Client(page("/"))
-        with client:
-            tabs = [kind(Answers()) for kind in (IdentifyTab, WhatIfTab, ReportTab)]  # type: ignore
-        identify, what_if, report = tabs
-        await identify.refresh()
-        assert identify.times.visible and identify.times_alone.visible
-        assert not identify.of_walls.visible
-        await report.refresh()
-        texts = [str(getattr(e, "text", "")) for e in client.elements.values()]
-        assert "No answer yet: identify first." in texts
-        await identify.start_times()  # at once, and by no process of its own
-        await report.refresh()
-        shown = "".join(str(getattr(e, "content", "")) for e in client.elements.values())
-        assert "/files/mean/reverberation.html?save=1" in shown and "mean/absorption" not in shown
-        await what_if.refresh()
-        assert what_if.both.visible and what_if.pictures["T30_s"].visible
-        assert not (what_if.pictures["T20_s"].visible or what_if.pairs.visible)
-        assert not what_if.sounds.visible and what_if.treatment.place.visible
-        before = what_if.pictures["T30_s"].content
-        await what_if.slide(0, 0.6)
-        assert what_if.changes.written()[0].startswith("walls=x")
-        assert what_if.pictures["T30_s"].content != before and "1 material" in what_if.note.text
-        texts = [str(getattr(e, "content", "")) for e in client.elements.values()]
-        assert any("by their priors alone" in text for text in texts)
-        project.name_measured(hall, "S", "R")
-        await identify.refresh()
-        assert identify.of_walls.visible and not identify.times_alone.visible
-
-    asyncio.run(whole())
 
 
 def test_decay_times_without_a_room_and_a_file_that_is_none_are_told(tmp_path: Path) -> None:

@@ -155,17 +155,6 @@ def test_headings_tables_and_findings_are_those_of_the_page_in_its_order(written
 
 
 @pytest.mark.slow
-def test_pictures_are_those_beside_the_report_with_words_for_those_who_do_not_see(written, book):
-    parts = book.part.related_parts.values()
-    held = {part.blob for part in parts if part.content_type == "image/png"}
-    names = ("absorption", "room", "decay_times")
-    assert {(written / f"{name}.png").read_bytes() for name in names} <= held
-    words = [shape._inline.docPr.get("descr") for shape in book.inline_shapes]
-    assert len(words) == len(held) and all(words)
-    assert not any("In report.html" in p.text for p in book.paragraphs)
-
-
-@pytest.mark.slow
 def test_it_is_the_same_file_whenever_it_is_written_and_names_nobody(written):
     text = (written / "report.html").read_text(encoding="utf-8")
     content = report_word(text, {})

@@ -265,25 +265,6 @@ def test_nothing_is_executed(case):
     assert "javascript:" not in text
 
 
-def test_drawings_of_one_page_share_no_id_and_refer_only_to_their_own(case):
-    text, page = case[2], case[3]
-    ids = [a["id"] for _, a in page.elements if "id" in a]
-    assert len(ids) == len(set(ids))
-    for name in ("room", "absorption", "decay"):
-        root = ET.fromstring(drawing(text, name))
-        own = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
-        assert own
-        assert all(i.startswith(f"{name}-") for i in own)
-        values = [v for e in root.iter() for v in e.attrib.values()]
-        used = re.findall(r"(?:^|url\()#([\w-]+)", " ".join(values).replace(" #", "\n#"), re.M)
-        assert used
-        assert set(used) <= own
-        classes = {e.attrib["class"] for e in root.iter() if "class" in e.attrib}
-        rules = set(re.findall(r"\.([\w-]+)\{", root.find("style").text))
-        assert {c for c in classes if not c.startswith("curve-")} == rules
-        assert all(re.fullmatch(rf"{name}-(all|s\d+)", rule) for rule in rules)
-
-
 def odd_cases():
     def with_pairs(scene, change, **more):
         answer = answer_of(scene, **more)

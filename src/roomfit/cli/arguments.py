@@ -7,7 +7,7 @@ package.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -81,25 +81,22 @@ def parsers() -> tuple[Parser, dict[str, Parser]]:
 # ---------------------------------------------------------------- values
 
 
-def number(text: str) -> float:
-    """Return a number."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+def _as(kind: Callable[[str], Any], words: str) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        try:
+            return kind(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {words}") from None
+
+    return read
 
 
-def whole(text: str) -> int:
-    """Return a whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+number, whole = _as(float, "a number"), _as(int, "a whole number")
 
 
 def positive_number(text: str) -> int:
     """Return a whole number of at least 1."""
-    value = whole(text)
+    value: int = whole(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is less than 1")
     return value
@@ -116,12 +113,9 @@ def _grid(text: str) -> tuple[float, float]:
     return number(height), number(spacing)
 
 
-def _shard(text: str) -> tuple[int, int]:
-    i, _, n = text.partition("/")
-    try:
-        return int(i), int(n)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not I/N, as 3/10") from None
+def _both(text: str) -> tuple[int, int]:
+    i, n = text.split("/")
+    return int(i), int(n)
 
 
 # ---------------------------------------------------------------- what several commands take
@@ -227,7 +221,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
                    "(needs the extra cluster). Campaigns and results must have the same paths on "
                    "all its workers.", metavar="ADDRESS"),
             _value("--shard", "Only every N-th room from the I-th on, for job arrays: 3/10 is the "
-                   "third of ten.", metavar="I/N", type=_shard, default=(1, 1)),
+                   "third of ten.", metavar="I/N", type=_as(_both, "I/N, as 3/10"), default=(1, 1)),
         ],
     ),
     "catalogue": (
@@ -271,7 +265,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _THREADS, _OVERWRITE, _PNG,
     ),
     "design": (
-        ("cli.design.design_to_folder", "choosing where to measure",
+        ("cli.treat.design_to_folder", "choosing where to measure",
          "design.json, design.csv and pictures are in {out}"),
         "Choose where to measure, so that absorption is found with the narrowest intervals.",
         _campaign("Campaign file (TOML); it need not have a measurement."),

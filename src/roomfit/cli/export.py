@@ -44,6 +44,8 @@ def export_result(
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
 
+    `InputError` where the result cannot be read, the format is unknown, or the file exists already.
+
     Parameters
     ----------
     result_file : Path or Result
@@ -58,13 +60,6 @@ def export_result(
         `Settings`.
     overwrite : bool
         Replace an existing file.
-
-    Raises
-    ------
-    InputError
-        The result cannot be read, the format is unknown, or the file exists already.
-    StoreError
-        The disk refuses.
 
     Examples
     --------
@@ -90,12 +85,13 @@ def export_result(
         content = csv_of(budget_records(uncertainty_budget(result_file))).encode()
     elif wanted in ("excel", "pdf", "word"):
         if isinstance(result_file, Result):
-            raise InputError(
+            what, found = (
                 "this format is made from the files of a result",
-                found=f"a result in memory, for {wanted!r}",
-                needed="result.json, and for PDF or Word report.html beside it",
-                hint="roomfit.write_result(folder, result, []) first",
+                f"{wanted!r} of a Result",
             )
+            needed = "result.json, and for PDF or Word report.html beside it"
+            hint = "roomfit.write_result(folder, result, []) first"
+            raise InputError(what, found=found, needed=needed, hint=hint)
         content, findings = _of_files(result_file, wanted)
     else:
         if isinstance(result_file, Result):

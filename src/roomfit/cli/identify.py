@@ -73,16 +73,9 @@ def identify_to_folder(
 
     Files are written after the whole computation, all of them or none. `between_hz` are bands to
     fit in place of the campaign's; a `quick` answer, see `Settings.quick`, has no pictures beside
-    the report. `answered` is called with the answer's blocks before anything is drawn.
-
-    Raises
-    ------
-    InputError
-        The campaign, the room, a response or the output folder is invalid.
-    InsufficientDataError
-        The data cannot be fitted at all.
-    StoreError
-        The disk refuses.
+    the report. `answered` is called with the answer's blocks before anything is drawn. `InputError`
+    where the campaign, the room, a response or the output folder is invalid,
+    `InsufficientDataError` where the data cannot be fitted at all.
     """
     check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
     campaign = read_campaign(campaign_file)

@@ -137,28 +137,23 @@ def draft_to_folder(
     """
     file = folder / "campaign.toml"
     if not folder.is_dir() and decay_times is None:
-        raise InputError(
-            "there is no such folder of recordings",
-            where=str(folder),
-            found="no folder of this name",
-            needed="a folder with recordings, or --decay-times",
-            hint="make the folder, and put the recordings into it",
-        )
+        what, found = "there is no such folder of recordings", "no folder of this name"
+        needed = "a folder with recordings, or --decay-times"
+        hint = "make the folder, and put the recordings into it"
+        raise InputError(what, where=str(folder), found=found, needed=needed, hint=hint)
     if folder.exists():
         check_place(file, overwrite=overwrite)
     if decay_times is not None:
         if recordings is not None or positions is not None:
-            raise InputError(
-                "--decay-times cannot be combined with --recordings or --positions",
-                found="both",
-                needed="one or the other",
-                hint="tables of pairs whose positions are known: parameters in [[measurements]]",
-            )
+            what = "--decay-times cannot be combined with --recordings or --positions"
+            hint = "tables of pairs whose positions are known: parameters in [[measurements]]"
+            raise InputError(what, found="both", needed="one or the other", hint=hint)
         read_decay_times(decay_times)
     known = {} if positions is None else read_positions(positions)
+    files = {} if decay_times is not None else matching_files(folder, recordings, known)
     text = draft_campaign(
         room,
-        {} if decay_times is not None else matching_files(folder, recordings, known),
+        files,
         known,
         folder=folder,
         template=recordings,

@@ -71,15 +71,8 @@ def measure_to_folder(
 
     `play_and_record`, as a `SoundCard`, takes what is played, shape (n_samples,), and its sampling
     rate in Hz; it returns what was recorded meanwhile, and what the devices report of faults.
-    `again` replaces the response of this pair.
-
-    Raises
-    ------
-    InputError
-        A name of no use, a pair that was measured already, or a recording of no use; then nothing
-        is written.
-    StoreError
-        The disk refuses.
+    `again` replaces the response of this pair. `InputError`, and nothing written, where a name or
+    the recording is of no use, or the pair was measured already.
     """
     path = folder / response_name(source, receiver)
     check_not_measured(path, again=again)

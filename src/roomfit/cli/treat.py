@@ -1,4 +1,4 @@
-"""``roomfit treat``: what to hang where."""
+"""``roomfit treat`` and ``roomfit design``: what to hang where, and where to measure."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from roomfit.base.whole_files import (
     write_text_atomically,
 )
 from roomfit.design.campaign import design_arguments
-from roomfit.design.output import chosen_positions
-from roomfit.design.positions import design
+from roomfit.design.output import chosen_positions, write_design
+from roomfit.design.positions import Design, design
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import ResultFile
 from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
 from roomfit.predict.changes import Change
 from roomfit.predict.predict import ChangingRoom, prepare
+from roomfit.report import designed
 from roomfit.report.html import page
 from roomfit.report.treated import describe, treatment_sentence
 from roomfit.room.scene import wall_materials
@@ -60,13 +61,10 @@ def treat_to_folder(
     wanted = Wanted(pairs, state, doubted=doubted)
     question = question_of(campaign, found, covered, wanted)
     if question.field is not None and not campaign.has_room:
-        raise InputError(
-            "a treatment of a room without walls",
-            where=str(campaign_file),
-            found="volume and surface alone",
-            needed="a table [room], so that there are surfaces to hang something on",
-            hint="add [room] with shoebox or file",
-        )
+        what, found_here = "a treatment of a room without walls", "volume and surface alone"
+        needed = "a table [room], so that there are surfaces to hang something on"
+        where, hint = str(campaign_file), "add [room] with shoebox or file"
+        raise InputError(what, where=where, found=found_here, needed=needed, hint=hint)
     room: ChangingRoom | None = None
     if question.field is not None:
         with located(str(campaign_file)):
@@ -124,3 +122,34 @@ def _what_to_measure(
         f"mean over the bands, is expected to be {after:.2f}{unit} wide"
     )
     return tuple(lines)
+
+
+@sole_writer
+@reading_noted()
+def design_to_folder(
+    campaign_file: Path,
+    out: Path,
+    result: ResultFile | None = None,
+    *,
+    overwrite: bool = False,
+    png: bool = False,
+    progress: Progress | None = None,
+    **wanted: int | str | None,
+) -> Design:
+    """Choose where to measure; write design.json, .csv and pictures into a folder.
+
+    `wanted` are those of `roomfit.DesignOptions`, None where its default holds.
+    """
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    found = None if result is None else read_result(result)
+    given = {name: value for name, value in wanted.items() if value is not None}
+    arguments = design_arguments(campaign, found, given)
+    with located(str(campaign_file)):
+        answer = design(**arguments, progress=part(progress, 0.0, 0.98))
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        from roomfit.report.figures import write_pictures
+
+        write_design(folder, answer, files_read())
+        write_pictures(folder, designed.describe(answer), png_too=png)
+    return answer
