@@ -1,7 +1,21 @@
 """Image sources with phase as a model of a measured room: its paths, its cost, its uncertainties.
 
 A path is kept with the product of its reflections, so that sources and receivers can be moved
-without another search; the pressures of all paths are weighed by `roomfit.impedance.wave_model`.
+without another search.
+
+A wall is given by R0, its plane-wave reflection coefficient at normal incidence, ``(Z - 1) / (Z +
+1)`` of the impedance Z over that of air; it is passive if and only if ``|R0| <= 1``. At an angle of
+incidence theta, with ``q = tan(theta / 2)**2``, a plane wave is reflected by ``R = (R0 - q) / (1 -
+q R0)``, the same as ``(Z cos theta - 1) / (Z cos theta + 1)``, so that ``|R| <= 1`` at every angle;
+a spherical wave by ``Q = R + (1 - R) F(w)`` with the boundary loss factor F of the numerical
+distance ``w = sqrt(j k r / 2) (1 / Z + cos theta)``, r the whole length of the path [1]_, [2]_.
+
+References
+----------
+.. [1] C. F. Chien, W. W. Soroka, "Sound propagation along an impedance plane", J. Sound Vib. 43,
+       9-20 (1975).
+.. [2] C. I. Chessell, "Propagation of noise along a finite impedance boundary", J. Acoust. Soc. Am.
+       62, 825-834 (1977).
 """
 
 from __future__ import annotations
