@@ -20,6 +20,7 @@ from roomfit.formats.model import (
     counted,
     damaged,
     finite,
+    ignored,
     joined,
     malformed,
     no_faces,
@@ -46,13 +47,12 @@ def read_dxf(path: Path) -> RoomModel:
     .. [1] Autodesk, "DXF Reference" (2018).
     """
     with quiet("ezdxf"):
-        return _read(path)
+        return _room(_opened(path), path)
 
 
-def _read(path: Path) -> RoomModel:
-    document = _opened(path)
+def _room(document: Any, path: Path) -> RoomModel:
     polygons: list[Polygon] = []
-    ignored: Counter[str] = Counter()
+    unread: Counter[str] = Counter()
     hidden: Counter[str] = Counter()  # on layers that are off
     try:
         counts: Counter[str] = Counter()
@@ -65,7 +65,7 @@ def _read(path: Path) -> RoomModel:
             where = f"{path}, {kind} on layer {layer!r} (handle {entity.dxf.handle})"
             found = _polygons(entity, kind, where)
             if found is None:
-                ignored[f"open {kind}" if kind.endswith("POLYLINE") else kind] += 1
+                unread[f"open {kind}" if kind.endswith("POLYLINE") else kind] += 1
                 continue
             surface = Surface(layer, block, layer)
             check_limit("faces", len(polygons) + len(found), str(path))
@@ -76,13 +76,15 @@ def _read(path: Path) -> RoomModel:
     except PARSER_ERRORS as error:
         raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
     if not polygons:
-        raise no_faces(
-            path,
-            found=counted(ignored + hidden) or "an empty drawing",
-            needed="3DFACE, polyface or MESH entities, or closed polylines, in the model space",
-            hint="explode solids into faces before the export",
-        )
-    return RoomModel(*joined(polygons), _findings(ignored, hidden), unit)
+        found = counted(unread + hidden) or "an empty drawing"
+        needed = "3DFACE, polyface or MESH entities, or closed polylines, in the model space"
+        raise no_faces(path, found, needed, "explode solids into faces before the export")
+    graded: Severity = "warning" if any(kind in _FLAT for kind in unread) else "info"
+    findings = ignored("The drawing has entities that are no faces, ignored", unread, graded)
+    if hidden:
+        text = f"Entities on layers that are off or frozen were passed over: {counted(hidden)}."
+        findings += (Finding(Code.LAYERS_IGNORED, About(), text, dict(hidden)),)
+    return RoomModel(*joined(polygons), findings, unit)
 
 
 def _opened(path: Path) -> Any:
@@ -113,13 +115,9 @@ def _taken_apart(
     `counts` goes on from block to block: twenty that each insert ten of the next would never end.
     """
     if depth > _DEEPEST:
-        raise InputError(
-            "blocks are inserted into each other",
-            where=str(path),
-            found=f"block {block!r}, at depth {depth}",
-            needed=f"blocks within blocks, at most {_DEEPEST} deep",
-            hint="explode the blocks in the drawing program",
-        )
+        what, found = "blocks are inserted into each other", f"block {block!r}, at depth {depth}"
+        needed = f"blocks within blocks, at most {_DEEPEST} deep"
+        raise malformed(what, str(path), found, needed, "explode them in the drawing program")
     for entity in entities:
         counts["entities"] += 1
         check_limit("entities", counts["entities"], str(path))
@@ -131,10 +129,9 @@ def _taken_apart(
         name = str(entity.dxf.name)
         definition = entity.block()
         if definition is None or definition.block.is_xref:
-            what = "a block of the drawing is not in the file"
-            needed = "every block that is inserted"
+            what, needed = "a block of the drawing is not in the file", "every inserted block"
             hint = "bind external references before the export"
-            raise InputError(what, where=str(path), found=name, needed=needed, hint=hint)
+            raise malformed(what, str(path), name, needed, hint)
         inserts = entity.multi_insert() if entity.mcount > 1 else (entity,)
         for insert in inserts:
             counts["inserts"] += 1
@@ -151,18 +148,15 @@ def _exploded(insert: Any, where: str) -> list[Any]:
 
     entities = list(insert.virtual_entities(skipped_entity_callback=note))
     if lost:
-        what = "a block of the drawing cannot be taken apart"
-        needed = "blocks of entities that can be exploded"
-        hint = "explode it in the drawing program"
-        raise InputError(what, where=where, found=lost[0], needed=needed, hint=hint)
+        what, needed = "a block of the drawing cannot be taken apart", "entities to be exploded"
+        raise malformed(what, where, lost[0], needed, "explode it in the drawing program")
     return entities
 
 
 def _unreadable(where: str, found: str) -> InputError:
     what = "a surface of the drawing cannot be read"
     needed = "3DFACE, polyface or MESH entities, or closed polylines with straight edges"
-    hint = "explode it, or turn it into a mesh, before the export"
-    return InputError(what, where=where, found=found, needed=needed, hint=hint)
+    return malformed(what, where, found, needed, "explode it, or turn it into a mesh")
 
 
 def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:
@@ -201,15 +195,3 @@ def _mesh_polygons(vertices: list[Any], faces: list[Any], where: str) -> list[li
             what, needed = "a face names a corner that does not exist", f"0 to {len(vertices) - 1}"
             raise malformed(what, where, f"corner {corner}", needed)
     return [[vertices[corner] for corner in face] for face in faces]
-
-
-def _findings(ignored: Counter[str], hidden: Counter[str]) -> tuple[Finding, ...]:
-    found = []
-    if ignored:
-        graded: Severity = "warning" if any(kind in _FLAT for kind in ignored) else "info"
-        text = f"The drawing has entities that are no faces, ignored: {counted(ignored)}."
-        found.append(Finding(Code.ENTITIES_IGNORED, About(), text, dict(ignored), graded=graded))
-    if hidden:
-        text = f"Entities on layers that are off or frozen were passed over: {counted(hidden)}."
-        found.append(Finding(Code.LAYERS_IGNORED, About(), text, dict(hidden)))
-    return tuple(found)

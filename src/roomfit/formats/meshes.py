@@ -55,9 +55,8 @@ def read_obj(path: Path) -> RoomModel:
         match words[0]:
             case "v":
                 if len(words) < 4:
-                    raise malformed(
-                        "a vertex needs three coordinates", where, " ".join(words), "v x y z"
-                    )
+                    what = "a vertex needs three coordinates"
+                    raise malformed(what, where, " ".join(words), "v x y z")
                 x, y, z = (finite(word, where) for word in words[1:4])
                 vertices.append((x, y, z))
             case "f" | "fo":
@@ -70,12 +69,8 @@ def read_obj(path: Path) -> RoomModel:
             case "usemtl" | "g" | "o" as key:
                 names[key] = rest or None
     if not faces:
-        raise no_faces(
-            path,
-            found=f"{len(vertices)} vertices",
-            needed='lines that start with "f"',
-            hint="export again with faces, or check that this is an OBJ file",
-        )
+        hint = "export again with faces, or check that this is an OBJ file"
+        raise no_faces(path, f"{len(vertices)} vertices", 'lines that start with "f"', hint)
     n = len(vertices)
     for face, line in zip(faces, lines, strict=True):
         for corner in face.corners:
@@ -106,9 +101,8 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
 def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
     """Return the corners of a face, from 0; the file counts from 1, or back from the latest."""
     if len(words) < 4:
-        raise malformed(
-            "a face has fewer than three corners", where, " ".join(words), "at least three"
-        )
+        what = "a face has fewer than three corners"
+        raise malformed(what, where, " ".join(words), "at least three")
     corners = []
     for word in words[1:]:
         index = whole(word.split("/", 1)[0], where)
@@ -117,24 +111,9 @@ def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
     return tuple(corners)
 
 
-_TYPES = {
-    "char": "b",
-    "uchar": "B",
-    "short": "h",
-    "ushort": "H",
-    "int": "i",
-    "uint": "I",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "float": "f",
-    "double": "d",
-    "float32": "f",
-    "float64": "d",
-}
+_WORDS = ["char", "uchar", "short", "ushort", "int", "uint", "float", "double"]
+_SIZES = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"]
+_TYPES = dict(zip([*_WORDS, *_SIZES], 2 * "bBhHiIfd", strict=True))
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 _Row = dict[str, list[float]]
@@ -333,11 +312,8 @@ def collada(content: bytes, _: float, place: list[str]) -> tuple[dict[str, Any],
                     lost[type(part).__name__.removeprefix("Bound")] += 1
                     continue
                 own = part.material
-                of = (
-                    own
-                    if isinstance(own, str)
-                    else getattr(own, "name", None) or getattr(own, "id", "")
-                )
+                of = getattr(own, "name", None) or getattr(own, "id", "")
+                of = own if isinstance(own, str) else of
                 shapes = part.polygons() if hasattr(part, "polygons") else part.triangles()
                 polygons += [(shape.vertices, (name, "", str(of or ""))) for shape in shapes]
     except collada.DaeError as error:

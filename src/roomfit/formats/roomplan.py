@@ -89,20 +89,16 @@ def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
             hint = "export the scan anew; a drawing is given as OBJ, IFC or COLLADA"
             raise _refused(what, "no list of walls", needed, hint)
         with complete("scan", "dimensions and transform of each surface, as RoomPlan has them"):
-            own = [
-                (k, i, x) for k, key in _KINDS.items() for i, x in enumerate(content.get(key) or ())
-            ]
+            each = {kind: content.get(key) or () for kind, key in _KINDS.items()}
+            own = [(kind, i, x) for kind, found in each.items() for i, x in enumerate(found)]
             furniture = content.get("objects") or ()
             # before each is looked at, which takes long
             check_limit("scan_parts", len(own) + len(furniture), "the scan")
             names = {x.get("identifier"): f"Wall{i}" for k, i, x in own if k == "wall"}
             parts = []
             for kind, i, x in own:
-                parent, is_curved = (
-                    names.get(x.get("parentIdentifier"), ""),
-                    x.get("curve") is not None,
-                )
-                name = f"{kind.capitalize()}{i}"
+                parent = names.get(x.get("parentIdentifier"), "")
+                is_curved, name = x.get("curve") is not None, f"{kind.capitalize()}{i}"
                 parts.append(_Part(name, kind, _corners(x), parent, is_curved))
             floors = [_corners(f) for f in content.get("floors") or () if f.get("polygonCorners")]
             things = [_thing(thing) for thing in furniture]
@@ -234,9 +230,8 @@ def _sides(corners_m: FloatArray, owners: Sequence[_Part | None]) -> list[_Side]
     return [_Side(*side) for side in zip(ends, owners, strict=True)]
 
 
-_Outline = tuple[
-    FloatArray, list["_Part | None"], float
-]  # (n, 3), z 0; walls; widest gap closed in m
+# corners (n, 3) at z 0; walls; the widest gap that was closed, in m
+_Outline = tuple[FloatArray, list["_Part | None"], float]
 
 
 def _by_walls(walls: Sequence[_Part]) -> _Outline:
@@ -388,13 +383,8 @@ def _profile(sides: Sequence[_Side]) -> tuple[FloatArray, list[_Part | None], fr
         along, _ = _beside(side, corners_m[:, :2])
         z = corners_m[:, 2]
         top = [i for i in np.argsort(along) if z[i] > z.min() + _LEVEL_M]
-        tops.append(
-            [
-                (along[i] / side.length_m, z[i])
-                for i in top
-                if _MEETS_M < along[i] < side.length_m - _MEETS_M
-            ]
-        )
+        within = [i for i in top if _MEETS_M < along[i] < side.length_m - _MEETS_M]
+        tops.append([(along[i] / side.length_m, z[i]) for i in within])
         ends.append(list(np.interp([0.0, side.length_m], along[top], z[top])) if top else [])
     corners: list[FloatArray] = []
     owners: list[_Part | None] = []
@@ -542,13 +532,9 @@ def read_usdz(path: Path) -> RoomModel:
     Walls, doors and windows are known by their names, each flat where the middle of its box is.
     See `_closed_room`.
     """
-    _, shapes = isolated_polygons(
-        path,
-        "roomfit.formats.roomplan:read_scan",
-        "usd-core",
-        "USDZ",
-        "roomfit[usd], or give the scan's JSON, which needs nothing and says more",
-    )
+    read = "roomfit.formats.roomplan:read_scan"
+    install = "roomfit[usd], or give the scan's JSON, which needs nothing and says more"
+    _, shapes = isolated_polygons(path, read, "usd-core", "USDZ", install)
     parts = [_Part(s.name, s.group, own) for own, s in shapes if s.group and s.group != "thing"]
     things = [
         Thing(s.name.rstrip("0123456789_").lower()[:40], own[:-1], float(own[-1, 2]))
@@ -613,11 +599,8 @@ def _flat(points_m: FloatArray) -> FloatArray:
     plan = points_m[:, :2] - middle
     # the thinnest way through a slab is square to one of the sides of its outline
     ring = _rim(plan)
-    ways = (
-        np.roll(ring, -1, axis=0) - ring
-        if len(ring)
-        else np.linalg.svd(plan, full_matrices=False)[2][:1]
-    )
+    ways = np.roll(ring, -1, axis=0) - ring
+    ways = ways if len(ring) else np.linalg.svd(plan, full_matrices=False)[2][:1]
     ways = ways / np.linalg.norm(ways, axis=1)[:, None]
     way = ways[np.argmin([np.ptp(plan @ np.array([-y, x])) for x, y in ways])]
     across = np.array([-way[1], way[0]])
@@ -653,10 +636,8 @@ def _points(prim: Any) -> Any:
 
     own = UsdGeom.Mesh(prim).GetPointsAttr().Get() if prim.IsA(UsdGeom.Mesh) else None
     if own is None:
-        now = Usd.TimeCode.Default()
-        low, high = np.array(
-            UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), now)
-        )
+        box = UsdGeom.Boundable(prim), Usd.TimeCode.Default()
+        low, high = np.array(UsdGeom.Boundable.ComputeExtentFromPlugins(*box))
         own = [np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)]
     points = np.array(own, dtype=np.float64).reshape(-1, 3)
     matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(prim))

@@ -30,21 +30,13 @@ def read_skp(path: Path) -> tuple[list[TwoSided], tuple[Finding, ...]]:
     that is painted on it; unpainted faces have that of the component, and sides without paint that
     of the other side. Hidden faces are of the room as well, for ceilings are hidden to look in.
     """
-    head, painted = isolated_polygons(
-        path,
-        "roomfit.formats.skp:read",
-        "openskp",
-        "SketchUp",
-        "roomfit[skp], or export the model from SketchUp as COLLADA, OBJ, IFC or GLB",
-    )
+    read, install = "roomfit.formats.skp:read", "roomfit[skp], or export it as COLLADA, OBJ or GLB"
+    head, painted = isolated_polygons(path, read, "openskp", "SketchUp", install)
     faces = []
     for points, sides in painted:
         front, back = sides.file_material, sides.group
-        surfaces = (
-            Surface(sides.name, None, front or back),
-            Surface(sides.name, None, back or front),
-        )
-        faces.append(TwoSided(points, *surfaces))
+        materials = (front or back, back or front)
+        faces.append(TwoSided(points, *(Surface(sides.name, None, m) for m in materials)))
     kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
     if int(head["hidden"]):
         kinds["hidden face, taken all the same"] = int(head["hidden"])
