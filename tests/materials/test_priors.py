@@ -15,7 +15,6 @@ from roomfit.materials.priors import (
     DEFAULT_MEAN,
     MaterialPrior,
     are_specified,
-    complete_priors,
     logit_prior,
     plain_logit_law,
     prior_logit_law,
@@ -38,14 +37,11 @@ def test_the_same_scattering_in_all_bands_is_traced_to_the_last_bit(s):
     ("specified", "words"),
     [
         ({"scattering": np.array([0.1, 0.2])}, "materials.wall.scattering has the wrong shape"),
-        ({"scattering": np.array([0.1, 0.2, 1.2])}, "materials.wall.scattering is out of range"),
         ({"known": np.array([0.1, np.nan, 0.2])}, "materials.wall.absorption is out of range"),
         ({"lower": 0.5, "upper": 0.5}, "lower bound is not below"),
         ({"tied_to": "wall"}, "tied to itself"),
         ({"tied_to": "floor", "known": np.full(3, 0.1)}, "has a value of its own"),
-        ({"wall_delay_sd_s": -1e-4}, "delay is out of range"),
         ({"wall_delay_sd_s": 0.3}, "delay is out of range"),
-        ({"wall_delay_sd_s": float("nan")}, "delay is out of range"),
     ],
 )
 def test_knowledge_that_cannot_be_is_refused(specified, words):
@@ -96,13 +92,8 @@ def test_bounds_of_a_material_hold_between_them_what_is_stated_of_it():
         ({"prior": (0.1, 0.1), "bounds": (0.1, 0.5)}, r"outside of its bounds.*\n.*w\.prior"),
         ({"prior": (0.5, 0.1), "bounds": (0.1, 0.5)}, "mean 0.5, sd 0.1 at 500 Hz"),
         ({"prior": ([0.3, 0.3], [0.1, 0.0])}, "mean 0.3, sd 0 at 1000 Hz"),
-        ({"prior": (1.0, 0.1)}, "outside of its bounds"),
-        ({"prior": (0.0, 0.1)}, "outside of its bounds"),
         ({"absorption": [0.2, 0.61], "bounds": (0.2, 0.6)}, r"own bounds(.|\n)*0\.61"),
-        ({"absorption": 0.19, "bounds": (0.2, 0.6)}, r"own bounds(.|\n)*0\.19"),
         ({"absorption": [0.1, 0.2, 0.3]}, r"w\.absorption(.|\n)*3 values(.|\n)*2 values, or"),
-        ({"scattering": [0.1, 0.2, 0.3]}, r"w\.scattering(.|\n)*3 values"),
-        ({"prior": ([0.1, 0.2, 0.3], 0.1)}, r"w\.prior\.mean"),
         ({"prior": (0.1, [0.1, 0.2, 0.3])}, r"w\.prior\.sd"),
     ],
 )
@@ -152,26 +143,3 @@ def test_of_materials_of_a_product_the_law_of_the_unknown_is_that_given_the_know
     np.testing.assert_allclose(covariance[0][1], [0.0, common**2, 0.0, 0.0])
     plain = [unknown_material("x", 1), *(replace(p, specified=False) for p in panels)]
     assert are_specified(tuple(plain)).tolist() == [False, True, True, True, True]
-
-
-def test_priors_of_a_room_are_completed_in_the_order_of_its_materials():
-    two = bands_between("octave", 500, 1000)
-    given = [MaterialPrior("b", np.ones(2), np.ones(2), product="alone")]
-    found = complete_priors(("a", "b"), given, two)
-    assert [p.name for p in found] == ["a", "b"] and not found[0].specified
-    assert found[1].product is None  # one material of a product shares nothing
-    pair = [MaterialPrior(n, np.ones(2), np.ones(2), product="p") for n in "ab"]
-    assert [p.product for p in complete_priors(("a", "b"), pair, two)] == ["p", "p"]
-    wall = MaterialPrior("a", np.ones(2), np.ones(2))
-    for priors, words in (
-        ([wall, replace(wall, name="b"), replace(wall, name="b")], r"two priors(.|\n)*'b'"),
-        ([replace(wall, name="x")], "does not have"),
-        ([MaterialPrior("a", np.ones(3), np.ones(3))], r"3 values(.|\n)*2, of the bands"),
-        ([replace(wall, tied_to="x")], r"same_absorption_as(.|\n)*'x'"),
-        ([replace(wall, tied_to="b"), replace(wall, name="b", tied_to="c")], "tied itself"),
-        ([pair[0], replace(pair[1], product_sd=0.31)], "different priors"),
-        ([pair[0], replace(pair[1], known=np.array([0.5, 1.0]))], "at its bound"),
-        ([pair[0], replace(pair[1], known=np.array([0.0, 0.5]))], "at its bound"),
-    ):
-        with pytest.raises(InputError, match=words):
-            complete_priors(("a", "b", "c"), priors, two)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from roomfit.paper.repeat import (
     GRID,
-    case_responses,
     grid_errors,
     grid_minima,
     largest_relative_error,
@@ -121,16 +120,3 @@ def test_the_derivative_of_the_residuals_is_their_slope(
         np.testing.assert_allclose(
             jacobian[:, material], slope, rtol=0, atol=1e-7 * np.abs(jacobian).max()
         )
-
-
-def test_a_window_of_a_response_holds_the_bins_of_a_millisecond_in_it(paths) -> None:
-    """Figures 2 and 3 of the paper by each other; before the direct sound there is nothing."""
-    responses = case_responses(paths["paper"])
-    assert [r.name for r in responses] == list(CASES)
-    for r in responses:
-        assert (r.direct_ms, r.first_reflection_ms) == PRINTED_ARRIVALS_MS[r.name]
-        assert np.flatnonzero(r.fine)[0] == r.direct_ms
-        edges_ms = np.round(1e3 * r.edges_s).astype(int)
-        assert edges_ms[0] == r.first_reflection_ms and set(np.diff(edges_ms)) == {5}
-        sums = np.add.reduceat(r.fine, edges_ms[:-1])[:-1]
-        np.testing.assert_allclose(r.windows[:-1], sums, rtol=1e-9)

@@ -153,19 +153,6 @@ def test_a_long_edge_beside_two_short_ones_is_closed():
     assert volume_m3(mesh) == pytest.approx(60.0, rel=1e-14)
 
 
-def test_corners_that_are_a_rounding_apart_are_one():
-    """Every face brings its own corners, each off by up to 20 micrometres."""
-    rng = np.random.default_rng(3)
-    vertices = np.concatenate([BOX[list(q)] + rng.uniform(-2e-5, 2e-5, (4, 3)) for q in QUADS])
-    faces = [Face(tuple(range(4 * i, 4 * i + 4)), WALL) for i in range(6)]
-
-    mesh, findings = build_mesh(vertices, faces)
-
-    assert len(mesh.vertices_m) == 8
-    assert not findings
-    assert examine(mesh)[0]
-
-
 def test_points_are_inside_a_rotated_box_where_their_coordinates_say_so():
     """2,000 random points, half of them outside."""
     rng = np.random.default_rng(7)
@@ -177,14 +164,6 @@ def test_points_are_inside_a_rotated_box_where_their_coordinates_say_so():
     expected = np.all((points > 0) & (points < LENGTHS), axis=1)
 
     np.testing.assert_array_equal(is_inside(mesh, points @ turn.T), expected)
-
-
-def test_the_notch_of_an_l_shaped_room_is_outside():
-    """The notch is 1 to 4 m in x and y, within the bounding box."""
-    points = np.array([[2.0, 2.0, 1.0], [0.5, 2.0, 1.0], [2.0, 0.5, 1.0]])
-
-    assert is_inside(l_room(), points).tolist() == [False, True, True]
-    assert is_inside(l_room(), interior_points(l_room(), 200, np.random.default_rng(1))).all()
 
 
 def test_distances_to_the_walls_of_a_box_are_those_of_its_planes():
@@ -246,18 +225,6 @@ def test_a_hole_is_an_error_and_a_pinhole_a_finding_with_its_place():
     assert "(1.600, 1.500, 3.000) m" in small[1].sentence
     # a hole of 0.01 m2, seen from the middle 1.5 m below, is 0.005 m3 of the divergence sum
     assert volume_m3(holed_box(0.1)) == pytest.approx(60.0 - 0.005, abs=1e-4)
-
-
-def test_a_face_without_area_is_a_fault_with_its_place():
-    """Two corners for three, and three on a line of which one belongs to nothing else."""
-    vertices = np.concatenate([BOX, [[1.0, 0.0, 0.0]]])
-    for corners in ((0, 0, 1), (0, 8, 1)):
-        bad = Face(corners, Surface("sliver", None, "glass"))
-        _, findings = build_mesh(vertices, [*box_faces(), bad])
-
-        assert codes(findings) == [Code.ZERO_AREA_FACE]
-        with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
-            refuse(findings)
 
 
 def test_a_moebius_strip_has_one_side():

@@ -59,17 +59,6 @@ def test_noise_that_follows_a_decay_is_found(seed):
     assert np.all(np.abs(level[2:]) < 1.5)
 
 
-def test_noise_before_the_sound_stands_for_that_of_a_cut_file():
-    """Noise 50 dB down in a file cut at -36 dB: at 2 and 4 kHz the 20 ms before tell its level."""
-    late = ringing(0.32, 10.0**-2.5, 1)
-    found = noise_of(late)
-    alone = filter_pressure(BANDS, ringing(0.32, 0.0, 1))
-    whole = filter_pressure(BANDS, late)
-    noise = np.mean((whole - alone) ** 2, axis=1)
-    # 16 and 33 independent values: 1.1 and 0.8 dB, three of those
-    assert np.all(np.abs(10.0 * np.log10(found.floor[4:] / noise[4:])) < 3.3)
-
-
 def coloured(response: ImpulseResponse, colour: SourceMagnitude) -> ImpulseResponse:
     """Return what a loudspeaker of a colour would play: the inverse of taking it out."""
     return equalise(response, SourceMagnitude(colour.frequencies_hz, -colour.level_db))

@@ -76,9 +76,9 @@ def _room(document: Any, path: Path) -> RoomModel:
     except PARSER_ERRORS as error:
         raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
     if not polygons:
-        found = counted(unread + hidden) or "an empty drawing"
+        said = counted(unread + hidden) or "an empty drawing"
         needed = "3DFACE, polyface or MESH entities, or closed polylines, in the model space"
-        raise no_faces(path, found, needed, "explode solids into faces before the export")
+        raise no_faces(path, said, needed, "explode solids into faces before the export")
     graded: Severity = "warning" if any(kind in _FLAT for kind in unread) else "info"
     findings = ignored("The drawing has entities that are no faces, ignored", unread, graded)
     if hidden:
