@@ -26,11 +26,11 @@ from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.logit import expit, logit
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import (
+    DEFAULT_LOGIT_SD,
     DEFAULT_MEAN,
     MaterialPrior,
     are_specified,
     logit_prior,
-    unknown_material,
 )
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -326,15 +326,11 @@ def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
 
 
 def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of absorption of a catalogue material as a prior.
+    """Return mean and standard deviation of absorption of a catalogue material, (n_bands,) each.
 
-    `roomfit.materials.priors.logit_prior` turns the two into logit absorption again.
-
-    `name`: see `find_material`. `bands`: octaves or third octaves. Between the octaves of the
-    catalogue logit mean and spread are interpolated linearly in the logarithm of frequency; beyond
-    63 Hz and 8 kHz the mean is held and the spread widened further for every octave.
-
-    The result has the shape (n_bands,): 0.005 <= mean <= 0.98; sd above 0.
+    Between the octaves of the catalogue logit mean and spread are interpolated linearly in the
+    logarithm of frequency; beyond 63 Hz and 8 kHz the mean is held and the spread widened further
+    for every octave. `logit_prior` turns the two into logit absorption again.
     """
     if find_material(name).group == _PIECES:
         what = "an entry of the catalogue is no absorption coefficient"
@@ -429,11 +425,16 @@ def material_prior(
     array([0.04, 0.04])
     """
     n, where = len(bands), f"materials.{name}"
-    plain = unknown_material(name, n)
-    mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
-    lower, upper = bounds if bounds is not None else (0.0, 1.0)
-    if bounds is not None:
-        mean = _middle_between(lower, upper, n, f"{where}.bounds")
+    lower, upper = (0.0, 1.0) if bounds is None else bounds
+    if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
+        what, found = "lower bound is not below the upper one", f"{lower:g} and {upper:g}"
+        needed = f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them"
+        hint = "an absorption that is known is fixed: absorption = ..."
+        raise InputError(what, where=f"{where}.bounds", found=found, needed=needed, hint=hint)
+    # the broad prior's middle where it lies well between the bounds, else theirs
+    share = (DEFAULT_MEAN - lower) / (upper - lower)
+    mean = logit(np.full(n, share if 0.1 <= share <= 0.9 else 0.5), 0.0)
+    sd = np.full(n, DEFAULT_LOGIT_SD)
     if prior is not None:
         mean, sd = _stated_prior(prior, bands, lower, upper, f"{where}.prior")
     known = None if absorption is None else _per_band(absorption, n, f"{where}.absorption")
@@ -459,21 +460,6 @@ def material_prior(
         wall_delay_sd_s=delay_sd_s,
         specified=prior is not None or bounds is not None,
     )
-
-
-def _middle_between(lower: float, upper: float, n: int, where: str) -> FloatArray:
-    """Return the prior mean of the logit between bounds, shape (n,).
-
-    The broad prior's middle where it lies well between the bounds, else theirs.
-    """
-    if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
-        what, found = "lower bound is not below the upper one", f"{lower:g} and {upper:g}"
-        needed = f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them"
-        hint = "an absorption that is known is fixed: absorption = ..."
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
-    share = (DEFAULT_MEAN - lower) / (upper - lower)
-    share = share if 0.1 <= share <= 0.9 else 0.5
-    return logit_prior(np.full(n, share), np.ones(n))[0]
 
 
 def _stated_prior(

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.base.arguments import check_known, check_range, float_array, unique_names
+from roomfit.base.arguments import check_known, check_range, check_shape, float_array, unique_names
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
@@ -118,16 +118,9 @@ def in_bands(priors: tuple[MaterialPrior, ...], chosen: IntArray) -> tuple[Mater
 
     `chosen`: indices among the bands of `priors`.
     """
-    return tuple(
-        replace(
-            k,
-            prior_logit_mean=k.prior_logit_mean[chosen],
-            prior_logit_sd=k.prior_logit_sd[chosen],
-            scattering=None if k.scattering is None else k.scattering[chosen],
-            known=None if k.known is None else k.known[chosen],
-        )
-        for k in priors
-    )
+    rows = ("prior_logit_mean", "prior_logit_sd", "scattering", "known")
+    own = [{r: x[chosen] for r in rows if (x := getattr(k, r)) is not None} for k in priors]
+    return tuple(replace(k, **changed) for k, changed in zip(priors, own, strict=True))
 
 
 def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -334,14 +327,7 @@ def complete_priors(
     for k in priors:
         what, where = "a prior of a material that the room does not have", f"materials.{k.name}"
         check_known(what, k.name, materials, where=where, else_try="see [room.materials]")
-        if k.prior_logit_mean.size != len(bands):
-            raise InputError(
-                "a prior has not one value per band",
-                where=where,
-                found=f"{k.prior_logit_mean.size} values",
-                needed=f"{len(bands)}, of the bands that are fitted",
-                hint="make the priors for the bands that are fitted",
-            )
+        check_shape(f"the prior of {where}", k.prior_logit_mean, (len(bands),))
     found = tuple(by_name.get(m, unknown_material(m, len(bands))) for m in materials)
     _check_ties(found)
     products = _products(found)
