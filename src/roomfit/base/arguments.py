@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import lzma
-import struct
-import tokenize
 import unicodedata
-import zipfile
-import zlib
 from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
@@ -72,13 +67,9 @@ def int_array(
         what = f"{name} must be whole numbers"
         needed, hint = "an array of integers", "round them, and convert them with .astype(int)"
         raise InputError(what, found=f"values of type {source.dtype}", needed=needed, hint=hint)
-    check_shape(name, source, shape)
     info = np.iinfo(dtype)
-    low = int(info.min) if low is None else low
-    high = int(info.max) if high is None else high
-    if source.size and (int(source.min()) < low or int(source.max()) > high):
-        first = source.min() if int(source.min()) < low else source.max()
-        raise _out_of_range(name, int(first), low, high)
+    ends = (info.min if low is None else low, info.max if high is None else high)
+    float_array(name, source, shape, low=float(ends[0]), high=float(ends[1]))
     return read_only(np.array(source, dtype=dtype))
 
 
@@ -197,26 +188,6 @@ def check_known(
         needed = f"one of {', '.join(known)}" if known else else_needed
         hint = did_you_mean(str(name), known) or else_try or "write it as it is listed there"
         raise InputError(what, where=where, found=repr(name), needed=needed, hint=hint)
-
-
-# What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.
-ARCHIVE_DAMAGE = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    lzma.LZMAError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 _NAMED = 6

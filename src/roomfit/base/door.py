@@ -27,8 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.base.arguments import ARCHIVE_DAMAGE
-from roomfit.base.errors import InputError, StoreError
+from roomfit.base.errors import DAMAGE, InputError, StoreError
 
 LIMITS: Mapping[str, tuple[float, str]] = {
     "file_bytes": (2**30, "bytes of one file"),
@@ -284,7 +283,7 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
                     raise ValueError("compressed in another way than by numpy.savez")
                 with archive.open(entry) as stream:
                     arrays[entry.filename.removesuffix(".npy")] = npy_array(stream, entry.file_size)
-    except ARCHIVE_DAMAGE as error:
+    except DAMAGE as error:
         raise InputError(
             "this is not a NumPy archive of numbers",
             where=where,

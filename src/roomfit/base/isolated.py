@@ -24,15 +24,11 @@ from typing import IO, Any
 import numpy as np
 
 from roomfit.base.door import limit, unpacked_limit_bytes
+from roomfit.base.errors import DAMAGE
 
 _LIBRARIES_BYTES = 2**30
 _LONGEST_HEAD = 2**26
 _PATIENCE = 6.0  # of the clock: a busy machine gives a process a part of its time only
-# What libraries raise on files that are not what they claim to be.
-_UNREADABLE = (
-    *(OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError, AssertionError),
-    *(MemoryError, ArithmeticError, SyntaxError, ImportError, EOFError),
-)
 NextArray = Callable[[Any], np.ndarray[Any, Any]]
 
 
@@ -106,7 +102,7 @@ def _serve(read: str, memory_bytes: float, seconds: float, most_bytes: float) ->
         if sum(a.nbytes for a in arrays) > most_bytes:
             raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
         text = json.dumps(head)
-    except _UNREADABLE as error:
+    except DAMAGE as error:
         message = f"{place[0]}: {type(error).__name__}: {error}"
         text, arrays = json.dumps({"error": " ".join(message.split())[:500]}), []
     out.write(text.encode("ascii") + b"\n")

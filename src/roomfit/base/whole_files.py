@@ -47,11 +47,8 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
         nearest = nearest_existing(path)
         filled = path.is_dir() and any(path.iterdir())
     if not nearest.is_dir():
-        what = (
-            "the output folder is a file" if nearest == path else "the output folder is in a file"
-        )
+        what, found = "the output folder is a file, or in one", f"{nearest} is a file"
         needed, hint = "a folder, or a name that is free", "choose another name"
-        found = f"{nearest} is a file"
         raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
     if filled and not overwrite:
         what = "the output folder exists and is not empty"
@@ -59,26 +56,21 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
         hint = "choose another folder, or add --overwrite"
         raise InputError(what, where=str(path), found="files in it", needed=needed, hint=hint)
     if not os.access(nearest, os.W_OK | os.X_OK):
-        what, found = (
-            "the output folder cannot be written to",
-            f"no permission to write in {nearest}",
-        )
+        what, found = "the output folder cannot be written to", f"no permission in {nearest}"
         raise StoreError(what, where=str(path), found=found, hint="choose another folder")
 
 
 def check_place(out: Path, *, overwrite: bool) -> None:
     """Refuse to write a file where something else is, or where one is and may not be replaced."""
-    hint = "choose another name, or add --overwrite"
+    needed, hint = "a new name, so that nothing is lost", "choose another name, or add --overwrite"
     if out.exists() and not out.is_file():
-        what, needed = "one file is written, and something else is in its place", "a new name"
+        what = "one file is written, and something else is in its place"
         found = "a folder" if out.is_dir() else "a device, a pipe or a socket"
         # a folder was meant, not a name that a folder has
-        hint = "rename what is there, or choose another name"
-        if out.is_dir() and not out.suffix:
-            hint = f"write --out {out / 'materials.txt'}"
+        meant = out.is_dir() and not out.suffix
+        hint = f"write --out {out / 'materials.txt'}" if meant else "choose another name"
     elif out.exists() and not overwrite:
-        what, needed = "the file to write exists", "a new name, so that nothing is lost"
-        found = "a file of this name"
+        what, found = "the file to write exists", "a file of this name"
     elif not out.parent.is_dir():
         what, needed = "the folder of the file to write does not exist", "a folder that is there"
         found, hint, out = "no such folder", "make it first, or name another one", out.parent

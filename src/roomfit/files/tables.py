@@ -16,9 +16,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from roomfit.base.arguments import ARCHIVE_DAMAGE
 from roomfit.base.door import csv_rows, read_bytes, read_text, unpacked_limit_bytes
-from roomfit.base.errors import InputError
+from roomfit.base.errors import DAMAGE, InputError
 from roomfit.base.typing import FloatArray
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".xlsx")
@@ -190,7 +189,7 @@ def _sheet_rows(content: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
                 cells += [""] * (column + 1 - len(cells))
                 cells[column] = _cell(cell, texts)
             yield int(row.get("r", number)), cells
-    except (*ARCHIVE_DAMAGE, ElementTree.ParseError) as error:
+    except (*DAMAGE, ElementTree.ParseError) as error:
         raise InputError(
             "this is not an Excel workbook with a table",
             where=where,

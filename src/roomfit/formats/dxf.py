@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from roomfit.base.door import check_limit, quiet, read_bytes
-from roomfit.base.errors import InputError
+from roomfit.base.errors import DAMAGE, InputError
 from roomfit.base.findings import About, Code, Finding, Severity
 from roomfit.base.polygon import Surface
 from roomfit.formats.model import (
-    PARSER_ERRORS,
     Polygon,
     RoomModel,
     counted,
@@ -73,7 +72,7 @@ def _room(document: Any, path: Path) -> RoomModel:
                 points = [[finite(str(float(value)), where) for value in c] for c in corners]
                 polygons.append((np.array(points).reshape(-1, 3), surface))
         unit = _UNITS.get(int(document.header.get("$INSUNITS", 0)))
-    except PARSER_ERRORS as error:
+    except DAMAGE as error:
         raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
     if not polygons:
         said = counted(unread + hidden) or "an empty drawing"
@@ -98,7 +97,7 @@ def _opened(path: Path) -> Any:
     read_bytes(path, "room file", most="text_bytes")
     try:
         return readfile(path)
-    except (*PARSER_ERRORS, DXFError, StopIteration) as error:
+    except (*DAMAGE, DXFError, StopIteration) as error:
         raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +20,6 @@ from roomfit.base.typing import FloatArray
 METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
 _LARGEST = 1e9  # far above any room in any unit, far below where squares overflow
 _MOST_DIGITS = 18
-# What a parser of others may raise on a damaged file; anything else is a fault of this program.
-PARSER_ERRORS = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
-    *(NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error),
-)
 
 
 class Thing(NamedTuple):

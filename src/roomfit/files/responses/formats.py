@@ -13,9 +13,9 @@ import re
 import numpy as np
 import soundfile
 
-from roomfit.base.arguments import ARCHIVE_DAMAGE, did_you_mean
+from roomfit.base.arguments import did_you_mean
 from roomfit.base.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
-from roomfit.base.errors import InputError, located
+from roomfit.base.errors import DAMAGE, InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.typing import FloatArray
 from roomfit.files.responses.recordings import Recording, pick
@@ -304,7 +304,7 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
         values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
         if values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
             raise ValueError(f"an array of {values.dtype} of shape {values.shape}")
-    except ARCHIVE_DAMAGE as error:
+    except DAMAGE as error:
         raise InputError(
             "this is not an NPY file that can be read",
             found=" ".join(str(error).split())[:200],
