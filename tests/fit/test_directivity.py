@@ -7,7 +7,6 @@ nothing with the fit (`roomfit.demo.boxes`).
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -29,25 +28,18 @@ from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.inputs import (
     load_campaign,
     material_priors,
-    read_measurements,
     source_directivities,
 )
 from roomfit.files.results import read_result, write_result
-from roomfit.files.rooms import read_room
 from roomfit.fit.directivity import (
     directivity_parameters,
 )
-from roomfit.fit.measurements import Measurements, collect_measurements
-from roomfit.fit.paths import TracedPaths
+from roomfit.fit.measurements import collect_measurements
 from roomfit.identify import identify
-from roomfit.materials.priors import MaterialPrior, uniform_scattering, unknown_material
-from roomfit.model.binned import bin_paths
-from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
+from roomfit.materials.priors import unknown_material
+from roomfit.model.directivity import FittedDirectivity
 from roomfit.model.patterns import Pattern, UnknownDirectivity
 from roomfit.report.tables import source_tables
-from roomfit.room.scene import Scene
-from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, LENGTHS_M, SMALL, SOURCE_M, write_wav
@@ -102,70 +94,20 @@ def campaign(folder: Path, specified: str, *, directional: bool, more: str = "")
     return path
 
 
-@dataclass(frozen=True)
-class Case:
-    """A campaign read and traced: image sources of all orders for 80 ms."""
-
-    asked: Campaign
-    scene: Scene
-    paths: Paths
-
-    @property
-    def arguments(
-        self,
-    ) -> tuple[Measurements, tuple[MaterialPrior, ...], TracedPaths, np.ndarray]:
-        """What its energies are made from."""
-        bands, materials = self.asked.bands, self.scene.room.materials
-        binned = bin_paths(self.scene, bands, self.paths, END_S)
-        still = np.zeros((len(materials), len(bands)))
-        return (
-            measured(self.asked, self.scene),
-            material_priors(self.asked, materials),
-            TracedPaths(
-                self.paths, binned, END_S, None, still, 0 * still[:, 0], True, END_S, None, ()
-            ),
-            np.full(len(bands), 0.2),
-        )
-
-
-def measured(asked: Campaign, scene: Scene) -> Measurements:
-    """Return what the campaign measured on a scene."""
-    directivities = source_directivities(asked, asked.bands)
-    return collect_measurements(scene, read_measurements(asked), asked.bands, directivities)
-
-
-def unknown_directivities(asked: Campaign, scene: Scene) -> DirectivityParameters | None:
-    """Return the sources whose directivity the campaign leaves to the fit."""
-    return directivity_parameters(measured(asked, scene), asked.settings)
-
-
-def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
-    """Return the campaign of four pairs whose source has a specified directivity."""
-    asked = read_campaign(campaign(folder, specified, directional=directional))
-    room, _ = read_room(asked.room)
-    pairs = np.array([[0, r] for r in range(4)])
-    scene = Scene(room, asked.sources, asked.receivers, pairs, asked.air)
-    still = uniform_scattering(room.materials, 0.0)
-    return Case(asked, scene, trace_images(scene, 1000, END_S, still))
-
-
 def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
     """The paper's searches, tables of values to be fitted along, and an aim without length."""
-    specified = 'directivity = "fit"'
-    for more, words in (
-        ('method = "simplex"\n', "least squares"),
-        ('[[measurements]]\nparameters = "t.csv"\n', "impulse responses only"),
-    ):
-        case = case_of(tmp_path, specified, directional=False)
-        path = campaign(tmp_path, specified, directional=False, more=more)
-        (tmp_path / "t.csv").write_text("source,receiver,parameter,500\nLS1,MP1,T30,0.28\n")
-        with pytest.raises(InputError, match=words):
-            unknown_directivities(read_campaign(path), case.scene)
+    (tmp_path / "t.csv").write_text("source,receiver,parameter,500\nLS1,MP1,T30,0.28\n")
     nowhere = "directivity = {aim = [0, 0, 0], b = 0.5, b_sd = 0.1}"
-    case = case_of(tmp_path, 'directivity = "omni"', directional=False)
-    path = campaign(tmp_path, nowhere, directional=False)
-    with pytest.raises(InputError, match="zero length"):
-        unknown_directivities(read_campaign(path), case.scene)
+    for specified, more, words in (
+        ('directivity = "fit"', 'method = "simplex"\n', "least squares"),
+        ('directivity = "fit"', '[[measurements]]\nparameters = "t.csv"\n', "responses only"),
+        (nowhere, "", "zero length"),
+    ):
+        path = campaign(tmp_path, specified, directional=False, more=more)
+        with pytest.raises(InputError, match=words):
+            given = load_campaign(path)
+            known = (given[name] for name in ("scene", "measurements", "bands", "directivities"))
+            directivity_parameters(collect_measurements(*known), given["settings"])
 
 
 @pytest.mark.slow

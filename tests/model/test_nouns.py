@@ -52,10 +52,3 @@ def test_the_first_energy_of_a_pair_is_that_of_its_direct_sound(room):
     for pair, r in enumerate(distances_m(traced.scene)):
         first = energies[pair][:, np.argmax(energies[pair].any(axis=0))]
         np.testing.assert_allclose(first, np.exp(-air * r) / (4.0 * np.pi * r**2), rtol=1e-9)
-
-
-def test_values_of_a_pair_alone_are_those_among_others(room):
-    traced, a = room
-    for pair in range(2):
-        alone, _ = traced.of_pair(pair).predict(a, NAMES)
-        np.testing.assert_array_equal(alone[0], traced.predict(a, NAMES)[0][pair])

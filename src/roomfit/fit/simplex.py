@@ -1,35 +1,27 @@
 """Searches of the unit box after Suh (2001) [1]_: downhill simplex, and annealing with it.
 
-Where equations (2) to (10) are incomplete or unusual, this is what is done here. Of the simplex:
+Where equations (2) to (10) are incomplete or unusual, this is done here. Of the simplex:
 
-- A failed contraction: the paper is silent. The simplex shrinks to half its size towards its lowest
-  vertex, as Nelder and Mead [2]_ have it.
-- The order of operations is theirs: an expansion is tried where the reflection is the best point so
-  far, a contraction where it is no better than the second highest. As printed, the expansion is
-  tried only where the reflection has *failed*.
-- Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
-  the wall instead would flatten the simplex into the wall, out of which no reflection leads.
-- The test is (6), the spread of the errors, not the relative one of (7): where the lowest error is
-  0 only rounding meets that. A simplex too small for further change ends the search as well.
+- After a failed contraction it shrinks to half its size towards its lowest vertex, and an expansion
+  is tried where the reflection is the best point so far, as Nelder and Mead [2]_ have it. As
+  printed, the expansion is tried only where the reflection has *failed*.
+- A point outside the unit box counts as infinitely bad: moved to the wall instead, it would flatten
+  the simplex into the wall, out of which no reflection leads.
+- The test is (6), the spread of the errors, not the relative one of (7), which only rounding meets
+  where the lowest error is 0.
 
 Of annealing, where the paper gives the rule of acceptance and the schedule alone:
 
 - A next state is the current one plus an even random step in every coordinate, mirrored at the
   walls. The largest step grows where more than six trials in ten are accepted and shrinks where
-  fewer than four are [3]_; every fifth step may still be as long as half the box, for a walk of
-  short steps alone never leaves a valley before it has cooled.
+  fewer than four are [3]_; every fifth step may still be as long as half the box.
 - The first temperature is the spread of the error over random points unless it is given.
-- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
-  quarter of the schedule, and the lowest goes on with fresh edges from its own answer until nothing
-  is gained. (In more than four dimensions a simplex loses its shape and stops short.)
+- A simplex starts at the best state of each quarter of the schedule, and the lowest goes on with
+  fresh edges until nothing is gained: in many dimensions a simplex loses its shape.
 
-References
-----------
 .. [1] J. S. Suh, "In-situ determination of absorption coefficients in a room" (2001).
-.. [2] J. A. Nelder, R. Mead, "A simplex method for function minimization", Computer Journal 7,
-       308-313 (1965).
-.. [3] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
-       'simulated annealing' algorithm", ACM Trans. Math. Softw. 13, 262-280 (1987).
+.. [2] J. A. Nelder, R. Mead, Computer Journal 7, 308-313 (1965).
+.. [3] A. Corana et al., ACM Trans. Math. Softw. 13, 262-280 (1987).
 """
 
 from __future__ import annotations

@@ -106,9 +106,13 @@ class TracedRoom:
 
         In 1/m2: that of the direct sound at a distance r is ``1 / (4 pi r^2)``.
         """
-        air = attenuation_per_m(self.scene.air, self.bands)
         pairs = range(len(self.scene.pairs))
-        return np.stack([pair_energies(self.binned, self.bands, i, absorption, air) for i in pairs])
+        return np.stack([self.energies_of(pair, absorption) for pair in pairs])
+
+    def energies_of(self, pair: int, absorption: FloatArray) -> FloatArray:
+        """Return those of one pair, shape (n_bands, n_bins)."""
+        air = attenuation_per_m(self.scene.air, self.bands)
+        return pair_energies(self.binned, self.bands, pair, absorption, air)
 
     def predict(
         self, absorption: FloatArray, names: Sequence[ValueName] = VALUE_NAMES
@@ -136,8 +140,7 @@ class TracedRoom:
 
         NaN where the paths do not follow the decay far enough, names in the order of `VALUE_NAMES`.
         """
-        air = attenuation_per_m(self.scene.air, self.bands)
-        energy = pair_energies(self.binned, self.bands, pair, absorption, air)
+        energy = self.energies_of(pair, absorption)
         own = self.scene, self.bands, self.binned, pair, absorption, energy
         curve = curve_of(*own, self.by_pressures)
         strength = strengths_db(self.bands, self.edges_s, energy, curve.onset_s)
@@ -147,9 +150,7 @@ class TracedRoom:
 
     def echogram(self, pair: int, absorption: FloatArray) -> FloatArray:
         """Return a pair's energies spread over time as by the filters, shape (n_bands, n_bins)."""
-        air = attenuation_per_m(self.scene.air, self.bands)
-        energy = pair_energies(self.binned, self.bands, pair, absorption, air)
-        return spread_over_time(self.bands, energy)
+        return spread_over_time(self.bands, self.energies_of(pair, absorption))
 
     def scatter(
         self, pair: int, absorption: FloatArray, weights: FloatArray | None = None

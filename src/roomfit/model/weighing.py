@@ -196,15 +196,9 @@ def taken_rows(rows: EnergyRows, kept: IntArray) -> EnergyRows:
 def first_rows(rows: EnergyRows, n_windows: int) -> EnergyRows:
     """Return the rows of the first so many windows, without copies; later ones are left out."""
     n = min(n_windows, rows.n_windows)
-    last = int(rows.offsets[n])
-    names = (
-        "weight_per_m2",
-        "hits",
-        "length_m",
-        "batch",
-        *(() if rows.path is None else ("path",)),
-    )
-    columns = {name: getattr(rows, name)[:last] for name in names}
+    names = ("weight_per_m2", "hits", "length_m", "batch", "path")
+    whole = {name: getattr(rows, name) for name in names}
+    columns = {name: x[: int(rows.offsets[n])] for name, x in whole.items() if x is not None}
     return replace(rows, n_windows=n, offsets=rows.offsets[: n + 1], **cast(Any, columns))
 
 
