@@ -130,31 +130,3 @@ def test_images_have_the_derivatives_of_finite_differences():
             numeric = (ahead - behind) / 2e-6
             scale = np.abs(numeric).max()
             np.testing.assert_allclose(derivatives[name][:, k], numeric, atol=1e-6 * scale)
-
-
-def test_the_variance_of_images_is_that_of_their_pieces_and_of_their_times():
-    """Written out window by window: pairs of images in a piece, times, rays, and noise."""
-    term = displaced()
-    kept = replace(term.kept, tracing=np.linspace(1.0, 2.0, term.kept.energy.size))
-    term = replace(term, kept=kept)
-    observations = tuple(replace(o, timing_sd_s=1e-4) for o in kept.term.observations)
-    kept = replace(kept, term=replace(kept.term, observations=observations))
-    term = replace(term, kept=kept)
-    gain, absorption = 2.0, 1.0 - np.exp(kept.log_reflected)
-    z = np.linalg.solve(kept.directivity.unknown.root, kept.b[0] - kept.directivity.unknown.mean)
-    values = {"absorption": absorption, "gain": np.array([gain]), DIRECTIVITY: z}
-    energy, _ = term._images(values)
-    found = term.variance_parts(values)["reflections"]
-    ends = [*kept.first_piece, kept.fine_energy.size]
-    widths_s = np.concatenate([np.diff(o.fine_edges_s) for o in observations])
-    shares, slopes = term.fine_spreading.toarray(), term.squared_slopes.toarray()
-    signal = term.signal(values)
-    for w in range(kept.energy.size):
-        own = 0.0
-        for piece in range(ends[w], ends[w + 1]):
-            arrived = shares[piece] * energy
-            whole = (arrived.sum() + kept.fine_energy[piece]) ** 2 - np.sum(arrived**2)
-            own += whole / (kept.term.bandwidth_hz * widths_s[piece])
-        own += 1e-8 * float(slopes[w] @ energy**2) + kept.tracing[w]
-        noise = kept.background[w, 0] + kept.background[w, 1] * signal[w]
-        assert found[w] == pytest.approx(gain**2 * own + noise, rel=1e-9)

@@ -10,7 +10,7 @@ from roomfit.base.bands import bands_in_words
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.measurements import median_decay_s
-from roomfit.fit.scattering import GRID
+from roomfit.fit.scattering import GRID, TRIAL
 from roomfit.fit.trace_plan import scattering_assumed, scattering_remedies
 from roomfit.model.eyring import schroeder_hz
 from roomfit.room.mesh import volume_m3
@@ -67,18 +67,19 @@ def check_scattering(evidence: Evidence) -> Iterator[Finding]:
     trial, fits = evidence.traced.scattering_trial, evidence.fits
     if trial is None or fits.unknown_sources is not None or fits.contradicted:
         return
-    gain, names = float(np.sum(trial.gains)), list(trial.materials)
-    if gain > _LEAST_GAIN and np.all(trial.gains > -_LARGEST_LOSS):
+    names, gains = list(trial[0]), trial[1]
+    gain = float(np.sum(gains))
+    if gain > _LEAST_GAIN and np.all(gains > -_LARGEST_LOSS):
         yield Finding(
             Code.SCATTERING_UNDERESTIMATED,
             About(materials=names),
             f"The data are explained better if {', '.join(names)} scatter: a coefficient of "
-            f"{trial.coefficient:g} raises the log likelihood by {gain:.0f}. Absorption "
+            f"{TRIAL:g} raises the log likelihood by {gain:.0f}. Absorption "
             "compensates for scattering that is specified as 0, so that no material is called "
             "identifiable. Specify the scattering of these materials, or have it fitted: "
             'scattering = "fit".',
-            {"materials": names, "scattering": trial.coefficient, "gain": gain},
-            remedies=scattering_remedies(names, trial.coefficient),
+            {"materials": names, "scattering": TRIAL, "gain": gain},
+            remedies=scattering_remedies(names, TRIAL),
         )
 
 

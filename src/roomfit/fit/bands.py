@@ -5,7 +5,7 @@ Bands are fitted one by one, energies also from random starts: do they end in on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -218,10 +218,8 @@ def energy_objectives(
 
 
 def other_terms(measured: Measurements, traced: TracedPaths) -> tuple[tuple[DataTerm, ...], ...]:
-    """Return the data of every band beside responses: one entry of `kinds` each kind of data."""
-    scene, bands = measured.scene, measured.bands
-    kinds: list[Sequence[DataTerm | None]] = []
-    if measured.values:
-        kinds.append(value_terms(scene, bands, measured.values, traced.binned))
-    each = zip(*kinds, strict=True) if kinds else ((),) * len(bands)
-    return tuple(tuple(term for term in own if term is not None) for own in each)
+    """Return the data of every band beside responses, of which room parameters are one kind."""
+    if not measured.values:
+        return ((),) * len(measured.bands)
+    terms = value_terms(measured.scene, measured.bands, measured.values, traced.binned)
+    return tuple(() if term is None else (term,) for term in terms)

@@ -16,7 +16,6 @@ from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.scattering import (
     ChosenScattering,
-    ScatteringTrial,
     band_factors,
     chosen_scattering,
     specified_scattering,
@@ -54,7 +53,8 @@ class TracedPaths:
     scattering_sd: FloatArray
     findings: tuple[Finding, ...]  # of the plan, rays and their weights
     chosen_scattering: tuple[ChosenScattering, ...] = ()  # where it was not specified
-    scattering_trial: ScatteringTrial | None = None  # of walls specified as smooth
+    # of walls specified as smooth: their names, and what bands gain if they scatter, (n_bands,)
+    scattering_trial: tuple[tuple[str, ...], FloatArray] | None = None
 
 
 def redirected(
@@ -135,11 +135,9 @@ def traced_paths(
     how = settings, plan.settings, start
     early = part(progress, 0.0, 0.5)
     priors, sd, chosen = chosen_scattering(measurements, priors, *how, early)
-    tried: ScatteringTrial | None = None
-    if chosen:
-        plan = planned()
-    elif not settings.quick:
-        tried = tried_scattering(measurements, priors, *how)
+    plan = planned() if chosen else plan
+    is_tried = not (chosen or settings.quick)
+    tried = tried_scattering(measurements, priors, *how) if is_tried else None
     trim_memory()
     done = part(progress, 0.5 if any(c.is_fitted for c in chosen) else 0.0, 1.0)
     room = measurements.scene, measurements.bands, priors, measurements.directivities

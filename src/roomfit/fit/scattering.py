@@ -65,7 +65,7 @@ _ASSUMED = (0.05, 0.2, 0.4)
 _ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
 # Walls specified as smooth are tried with this coefficient.
-_TRIAL = 0.15
+TRIAL = 0.15
 # The higher a band, the less its energies fluctuate by interference, and the better they determine
 # whether anything arrives between the image sources; higher still, sources are directional.
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
@@ -155,14 +155,6 @@ def choose_scattering(
     return chosen, lower, upper
 
 
-class ScatteringTrial(NamedTuple):
-    """What bands gain if walls that are specified as smooth scatter."""
-
-    materials: tuple[str, ...]  # those that were tried, all at once
-    coefficient: float
-    gains: FloatArray  # (n_bands,), of the log-likelihood
-
-
 class ChosenScattering(NamedTuple):
     """Scattering coefficients that were chosen by likelihood on a grid, or assumed."""
 
@@ -249,10 +241,10 @@ def tried_scattering(
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
-) -> ScatteringTrial | None:
-    """Return what is gained if walls specified as smooth scatter by 0.15; None without any.
+) -> tuple[tuple[str, ...], FloatArray] | None:
+    """Return walls specified as smooth, and what bands gain if all scatter by `TRIAL`, (n_bands,).
 
-    In the three highest bands up to 4 kHz.
+    In the three highest bands up to 4 kHz. None without such walls or responses.
     """
     walls = [k for k in priors if k.object_volume_m3 is None]
     if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in walls):
@@ -268,9 +260,9 @@ def tried_scattering(
     if not smooth.any():
         return None
     without = fit(assumed)
-    gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
+    gains = fit(np.where(smooth[:, None], TRIAL, assumed)) - without
     each = zip(walls, smooth, strict=False)
-    return ScatteringTrial(tuple(k.name for k, is_smooth in each if is_smooth), _TRIAL, gains)
+    return tuple(k.name for k, is_smooth in each if is_smooth), gains
 
 
 def _shortened(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:

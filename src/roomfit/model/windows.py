@@ -109,9 +109,7 @@ def with_squares(
 
 def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
     """Return ``shares**2 @ row`` without an array of squares, shape (n_windows,)."""
-    once, twice = np.empty((2, spreading.shape[0]))
-    _add_up_both(spreading.indptr, spreading.indices, spreading.data, row, row, once, twice)
-    return np.asarray(twice)
+    return with_squares(spreading, row, row)[1]
 
 
 @kernel(allocates=False)
