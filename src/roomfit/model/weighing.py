@@ -337,6 +337,34 @@ def _parts(
     return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
 
 
+@kernel(allocates=False, inlined=True)
+def _reflected(
+    weight: float, hits: IntArray, r: int, powers: FloatArray
+) -> tuple[float, int, int, int, int, int, int]:
+    """Return a row's weight times its reflections, and its hits on the first six materials."""
+    n, h3, h4, h5 = hits.shape[1], 0, 0, 0
+    h0 = h1 = h2 = hits[r, 0]
+    own = weight * powers[0, h0]
+    if n > 1:
+        h1 = hits[r, 1]
+        own *= powers[1, h1]
+    if n > 2:
+        h2 = hits[r, 2]
+        own *= powers[2, h2]
+    if n > 3:
+        h3 = hits[r, 3]
+        own *= powers[3, h3]
+    if n > 4:
+        h4 = hits[r, 4]
+        own *= powers[4, h4]
+    if n > 5:
+        h5 = hits[r, 5]
+        own *= powers[5, h5]
+    for m in range(6, n):
+        own *= powers[m, hits[r, m]]
+    return own, h0, h1, h2, h3, h4, h5
+
+
 @kernel()
 def _weigh_windows(
     first: int,
@@ -358,7 +386,7 @@ def _weigh_windows(
     """
     weight, length, hits, basis, batch = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
+    n, sums = hits.shape[1], np.empty(every.shape[1])
     with_slopes = sums.size > slopes
     for w in range(first, last):
         for start in range(offsets[w], offsets[w + 1], _PIECE):
@@ -368,25 +396,7 @@ def _weigh_windows(
             # sums of the first materials stay in registers, which halves the time
             by0 = by1 = by2 = by3 = by4 = by5 = 0.0
             for r in range(start, stop):
-                h0 = h1 = h2 = hits[r, 0]
-                own = weight[r] * powers[0, h0]
-                if n > 1:
-                    h1 = hits[r, 1]
-                    own *= powers[1, h1]
-                if n > 2:
-                    h2 = hits[r, 2]
-                    own *= powers[2, h2]
-                if n > 3:
-                    h3 = hits[r, 3]
-                    own *= powers[3, h3]
-                if n > 4:
-                    h4 = hits[r, 4]
-                    own *= powers[4, h4]
-                if n > 5:
-                    h5 = hits[r, 5]
-                    own *= powers[5, h5]
-                for m in range(6, n):
-                    own *= powers[m, hits[r, m]]
+                own, h0, h1, h2, h3, h4, h5 = _reflected(weight[r], hits, r, powers)
                 if attenuation != 0.0:
                     own *= math.exp(-attenuation * length[r])
                 if len(basis):
@@ -412,29 +422,45 @@ def _weigh_windows(
                         sums[slopes + m] -= own * hits[r, m]
             sums[0], sums[1] = energy, squares
             if with_slopes:
-                first_six = (by0, by1, by2, by3, by4, by5)
+                first_six, turned = (by0, by1, by2, by3, by4, by5), energy / (3.0 * norm)
                 for m in range(min(n, 6)):
                     sums[slopes + m] = first_six[m]
-                if len(basis):
-                    turned = energy / (3.0 * norm)
-                    sums[slopes + n] = 2.0 * (x - turned * b[0])
-                    sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
-                    sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
-                for m in range(n):
-                    if reflected[m] >= _NEARLY_BLACK:
-                        sums[slopes + m] /= reflected[m]
-                        continue
-                    sums[slopes + m] = 0.0
-                    for r in range(start, stop):
-                        own = weight[r]
-                        if len(basis):
-                            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                            own *= c * c / norm
-                        sums[slopes + m] -= _slope_at_black(
-                            own, length[r], hits[r], powers, attenuation, m
-                        )
+                sums[slopes + n] = 2.0 * (x - turned * b[0])
+                sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
+                sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
+                own_slopes = sums[slopes : slopes + n]
+                _slopes_by_absorption(
+                    start, stop, rows, b, reflected, powers, attenuation, own_slopes
+                )
             for k in range(sums.size):
                 every[w, k] += sums[k]
+
+
+@kernel()
+def _slopes_by_absorption(
+    start: int,
+    stop: int,
+    rows: tuple[Any, ...],
+    b: FloatArray,
+    reflected: FloatArray,
+    powers: FloatArray,
+    attenuation: float,
+    sums: FloatArray,
+) -> None:
+    """Divide the sums of energy times hits by 1 - a; where that is nearly 0, sum up anew."""
+    weight, length, hits, basis, _ = rows
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    for m in range(len(sums)):
+        if reflected[m] >= _NEARLY_BLACK:
+            sums[m] /= reflected[m]
+            continue
+        sums[m] = 0.0
+        for r in range(start, stop):
+            own = weight[r]
+            if len(basis):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own *= c * c / norm
+            sums[m] -= _slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:

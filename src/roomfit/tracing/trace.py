@@ -37,30 +37,11 @@ def trace(
     `settings.image_until_s` is left out, because it is a noisy copy of an image path; all others
     have something that images do not: nothing is counted twice and nothing lost. With scattering s
     an image path carries ``(1 - s) ** hits`` of its energy, and the rays bring the rest, later or
-    with a diffuse hit.
+    with a diffuse hit. ``image_order=-1`` leaves everything to rays, ``n_rays=0`` to images.
 
-    Parameters
-    ----------
-    scene : Scene
-    settings : TraceSettings
-        ``image_order=-1`` leaves everything to rays, ``n_rays=0`` to images.
-    scattering : Scattering
-        One coefficient, 0 to 1, for each material of the room, in any order.
-    progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
-    known_images : Paths, optional
-        The image paths of this trace with any scattering; ignored in a room with several states.
-
-    Returns
-    -------
-    Trace
-        Paths by pair, statistics of the rays, and findings.
-
-    Raises
-    ------
-    InputError
-        Neither images nor rays are asked for, scattering of other materials, a receiver in a wall
-        or on a source, or more paths than fit into memory.
+    `known_images` are the image paths of this trace with any scattering, ignored in a room with
+    several states. An `InputError` where neither images nor rays are asked for, scattering is that
+    of other materials, a receiver stands in a wall or on a source, or paths do not fit into memory.
 
     Notes
     -----
@@ -92,36 +73,22 @@ def trace(
         return _with_objects(
             replace(found, paths=in_every_state(found.paths, single, scene, scattering)), scene
         )
-    images: list[Paths] = []  # whoever holds them beside the rays' trace doubles its peak
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
-    images_s = settings.duration_s
-    if settings.image_until_s is not None:
-        images_s = min(settings.image_until_s, images_s)
-    if settings.image_order >= 0:
-        images.append(
-            trace_images(
-                scene,
-                settings.image_order,
-                images_s,
-                scattering,
-                with_image_transforms=settings.keep_image_transforms,
-                progress=part(progress, 0.0, share),
-            )
-            if known_images is None
-            else thinned_images(known_images, scattering)
-        )
-    radii: FloatArray | None = None
-    findings: tuple[Finding, ...] = ()
+    images: list[Paths] = []  # whoever holds them beside the rays' trace doubles its peak
+    if settings.image_order >= 0 and known_images is not None:
+        images.append(thinned_images(known_images, scattering))
+    elif settings.image_order >= 0:
+        until_s = settings.duration_s
+        if settings.image_until_s is not None:
+            until_s = min(settings.image_until_s, until_s)
+        of = scene, settings.image_order, until_s, scattering
+        done, kept = part(progress, 0.0, share), settings.keep_image_transforms
+        images.append(trace_images(*of, with_image_transforms=kept, progress=done))
+    radii, findings = None, ()
     if settings.n_rays:
         radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
-    rays = trace_rays(
-        scene,
-        settings,
-        scattering,
-        part(progress, share, 1.0),
-        receiver_radii_m=radii,
-        images=images,
-    )
+    done = part(progress, share, 1.0)
+    rays = trace_rays(scene, settings, scattering, done, receiver_radii_m=radii, images=images)
     return _with_objects(replace(rays, findings=(*findings, *rays.findings)), scene)
 
 
