@@ -137,11 +137,9 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
         [absorption, np.where(np.eye(len(far), dtype=np.bool_), far, absorption), far]
     )
     # a case a row: sums along rows are four times as fast as across them
-    energy = np.exp(rows.hits @ np.log(np.maximum(1.0 - cases.T, 1e-9))).T.copy()
+    energy = np.exp(np.log(np.maximum(1.0 - cases, 1e-9)) @ rows.hits.T)
     energy *= rows.weight_per_m2
-    after = np.cumsum(energy[:, ::-1], axis=1)[:, ::-1]
-    is_low = np.all(after < 10.0 ** (-0.1 * _FOLLOWED_DB) * after[:, :1], axis=0)
-    last = int(window_of_rows(rows)[np.argmax(is_low)]) if is_low.any() else rows.n_windows
+    last = _followed_windows(rows, energy)
     ends = rows.offsets[np.append(np.arange(0, last, BINS_TOGETHER), last)]
     weight, n_each = np.zeros(len(rows)), most / (ends.size - 1)
     for begin, end in pairwise(ends.tolist()):
@@ -149,6 +147,24 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
     kept = np.flatnonzero(weight)
     few = taken_rows(rows, kept)
     return replace(few, weight_per_m2=few.weight_per_m2 * weight[kept], n_batches=0, path=None)
+
+
+def _followed_windows(rows: EnergyRows, energy: FloatArray) -> int:
+    """Return the window in which what comes after is too little in all cases, (n_cases, n_rows)."""
+    filled = np.flatnonzero(np.diff(rows.offsets))
+    starts = rows.offsets[filled]
+    after = np.cumsum(np.add.reduceat(energy, starts, axis=1)[:, ::-1], axis=1)[:, ::-1]
+    least = 10.0 ** (-0.1 * _FOLLOWED_DB) * after[:, 0]
+    first = int(np.argmax(np.append(np.all(after < least[:, None], axis=0), True)))
+    # its rows are too little from some of them on where those after it are
+    if first > 0:
+        end = len(rows) if first == filled.size else starts[first]
+        beyond = np.zeros(len(energy)) if first == filled.size else after[:, first]
+        own = energy[:, starts[first - 1] : end]
+        rest = np.cumsum(own[:, ::-1], axis=1) + beyond[:, None]
+        if np.any(np.all(rest < least[:, None], axis=0)):
+            return int(filled[first - 1])
+    return rows.n_windows if first == filled.size else int(filled[first])
 
 
 def _calibrated(energy: FloatArray, n_each: float) -> FloatArray:
