@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,8 @@ from scipy import fft
 from scipy.special import i0
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.base.bands import Bands
+from roomfit.base.bands import BandKind, Bands
+from roomfit.base.kernels import kernel
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray, IntArray
 from roomfit.model.binned import BinnedPaths, rows_at
 from roomfit.model.observation import spread_over_time
@@ -51,6 +54,13 @@ def band_grid(band: Bands, first_s: float, last_s: float) -> BandGrid:
     spectrum the filter divides out (P. J. Beatty, D. G. Nishimura, J. M. Pauly, IEEE Trans. Med.
     Imaging 24, 799 (2005)). The pressure is exact to 1e-5 of a path's amplitude.
     """
+    return _band_grid(band.kind, float(band.centres_hz[0]), first_s, last_s)
+
+
+# of the bands of a room: its pairs have the same
+@lru_cache(maxsize=32)
+def _band_grid(kind: BandKind, nominal_hz: float, first_s: float, last_s: float) -> BandGrid:
+    band = Bands(kind, np.array([nominal_hz]))
     centre_hz = float(band.exact_centres_hz[0])
     top_hz = float(band.upper_hz[0] ** 2 / centre_hz)
     rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
@@ -76,10 +86,32 @@ def band_grid(band: Bands, first_s: float, last_s: float) -> BandGrid:
 def image_pulses(rows: EnergyRows, own: IntArray, absorption: FloatArray) -> FloatArray:
     """Return the pressure of some rows, the root of their energy, shape (n,); air left out."""
     powers = power_table(np.sqrt(1.0 - absorption)[None], rows.max_hits)[0]
-    heights = np.sqrt(rows.weight_per_m2[own])
-    for of_material, struck in zip(powers, rows.hits[own].T, strict=True):
-        heights *= of_material[struck]
+    return _pulses(rows.weight_per_m2, rows.hits, own, powers)
+
+
+@kernel()
+def _pulses(weight: FloatArray, hits: IntArray, own: IntArray, powers: FloatArray) -> FloatArray:
+    heights = np.empty(len(own))
+    for i in range(len(own)):
+        heights[i] = math.sqrt(weight[own[i]])
+        for m in range(len(powers)):
+            heights[i] *= powers[m, hits[own[i], m]]
     return heights
+
+
+@kernel()
+def _gridded(place: FloatArray, heights: FloatArray, table: FloatArray, n: int) -> FloatArray:
+    """Return pulses on a grid of n points, each spread over the nearest."""
+    out = np.zeros(n)
+    for i in range(len(place)):
+        behind = math.floor(place[i])
+        share = (place[i] - behind) * TABLE_STEPS
+        step = int(share)
+        share -= step
+        for tap in range(TAPS):
+            weight = table[step, tap] + share * (table[step + 1, tap] - table[step, tap])
+            out[(behind + tap + 1 - TAPS // 2) % n] += weight * heights[i]
+    return out
 
 
 def energy_of_pulses(
@@ -88,12 +120,7 @@ def energy_of_pulses(
     """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,)."""
     grid = band_grid(band, float(edges_s[0]), float(edges_s[-1]))
     place = (at_s - grid.first_s) * grid.rate_hz
-    behind = np.floor(place).astype(np.int64)
-    step, share = np.divmod((place - behind) * TABLE_STEPS, 1.0)
-    low, high = (grid.table[step.astype(np.int64) + k] for k in (0, 1))
-    weights = (low + share[:, None] * (high - low)) * heights[:, None]
-    at = (behind[:, None] + np.arange(TAPS) + 1 - TAPS // 2) % grid.n
-    impulses = np.bincount(at.ravel(), weights.ravel(), grid.n)
+    impulses = _gridded(place, heights, grid.table, grid.n)
     pressure = fft.irfft(fft.rfft(impulses) * grid.filter, grid.n)
     # the square of every sample lasts half a step before and after it
     until = np.concatenate(([0.0], np.cumsum(pressure**2))) / grid.rate_hz

@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.base.bands import Bands
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.energy import squared_image_rows
-from roomfit.model.weighing import EnergyRows, taken_rows, weigh_points, window_of_rows
+from roomfit.model.weighing import EnergyRows, taken_rows, weigh_points
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve
 from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients, values_of_bins
 from roomfit.signals.speech import (
