@@ -84,7 +84,8 @@ def trace(
         of = scene, settings.image_order, until_s, scattering
         done, kept = part(progress, 0.0, share), settings.keep_image_transforms
         images.append(trace_images(*of, with_image_transforms=kept, progress=done))
-    radii, findings = None, ()
+    radii: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
     if settings.n_rays:
         radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
     done = part(progress, share, 1.0)
