@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import re
 import tomllib
-import types
 from collections.abc import Iterable, Iterator
 from itertools import product
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -136,8 +135,7 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     if to_fit:
         _check_data(campaign)
     _check_names(campaign)
-    for number, row in enumerate(campaign.rows, start=1):
-        _check_row(campaign, row, f"{path}, measurements[{number}]")
+    _check_tables(campaign)
     _check_pairs(campaign)
     # keys that are right one by one and not together
     with located(str(path)):
@@ -226,21 +224,12 @@ def _check_data(campaign: Campaign) -> None:
         )
 
 
-def _check_defined(owner: str, kind: str, name: str, known: Iterable[str], where: str) -> None:
-    """Refuse a name that no table defines."""
-    what, hint = f"a {owner} names a {kind} that is not defined", f"add [{kind}s.{name}]"
-    needed = f"a table [{kind}s.NAME]"
-    check_known(what, name, sorted(known), where=where, else_needed=needed, else_try=hint)
-
-
 def _check_names(campaign: Campaign) -> None:
     """Refuse names that are none, twice the same, or of nothing that is defined."""
-    path = campaign.path
+    path, materials = campaign.path, campaign.materials
     used = [campaign.room.materials, *campaign.states.values()]
-    named: dict[str, Iterable[str]] = {
-        "material": dict.fromkeys(
-            (*campaign.materials, *(m for own in used for m in own.values() if m))
-        ),
+    defined: dict[str, Iterable[str]] = {
+        "material": dict.fromkeys((*materials, *(m for own in used for m in own.values() if m))),
         "product": campaign.products,
         "object": campaign.objects,
         "loudspeaker": campaign.loudspeakers,
@@ -249,50 +238,55 @@ def _check_names(campaign: Campaign) -> None:
         "group": campaign.group_tables,
         "state": [state.name for state in campaign.state_tables],
     }
-    for kind, names in named.items():
+    for kind, names in defined.items():
         with located(f"{path}, [{kind}s]"):
             unique_names(kind, names)
-    for own, table in campaign.source_tables.items():
-        shared = table.directivity
-        if isinstance(shared, SharedDirectivity):
-            where = f"{path}, sources.{own}.directivity.loudspeaker"
-            makes = campaign.loudspeakers
-            _check_defined("source", "loudspeaker", shared.loudspeaker, makes, where)
-    for name, wall in campaign.materials.items():
-        if (product_name := wall.product) is None:
-            continue
-        where = f"{path}, materials.{name}"
-        known = campaign.products
-        _check_defined("material", "product", product_name, known, f"{where}.product")
-        for key in ("prior", "bounds", "same_absorption_as"):
-            if getattr(wall, key) is not None:
-                raise InputError(
-                    f"a material of a product has {key} of its own",
-                    where=f"{where}.{key}",
-                    needed=f"either product = {product_name!r} or {key}",
-                    hint=f"what is known of all its walls belongs to [products.{product_name}]",
-                    found=f"{key} beside product = {product_name!r}",
-                )
-
-
-def _check_row(campaign: Campaign, row: MeasurementTable, where: str) -> None:
-    if row.state:
-        what = "a measurement names a state of the room that is not defined"
-        known, hint = list(campaign.states), "leave it out for the room as described"
-        needed = "a table [[states]]"
-        check_known(what, row.state, known, where=where, else_needed=needed, else_try=hint)
-    what = "a measurement needs exactly one kind of data"
-    hint = "a table [[measurements]] for each file"
-    the_one(row, ("file", "parameters", "spectrum"), what, where, hint)
-    for kind, name, tables in (
-        ("source", row.source, campaign.source_tables),
-        ("receiver", row.receiver, campaign.receiver_tables),
-    ):
+    named = [
+        (f"sources.{own}.directivity.loudspeaker", "source", "loudspeaker", shared.loudspeaker)
+        for own, table in campaign.source_tables.items()
+        if isinstance(shared := table.directivity, SharedDirectivity)
+    ]
+    named += [
+        (f"materials.{own}.product", "material", "product", wall.product or "")
+        for own, wall in materials.items()
+    ]
+    for number, row in enumerate(campaign.rows, start=1):
+        where = f"measurements[{number}]"
+        of_row = {"state": row.state, "source": row.source, "receiver": row.receiver}
+        named += [(where, "measurement", kind, name) for kind, name in of_row.items()]
+    for where, owner, kind, name in named:
         if name:
-            _check_defined("measurement", kind, name, tables, where)
-        elif row.parameters is None:
-            what, hint = f"a measurement without a {kind}", f'{kind} = "NAME", as in [{kind}s.NAME]'
-            raise InputError(what, where=where, found=f"no key {kind}", needed=kind, hint=hint)
+            check_known(
+                f"a {owner} names a {kind} that is not defined",
+                name,
+                sorted(defined[kind]),
+                where=f"{path}, {where}",
+                else_needed=f"a table [{kind}s.NAME]",
+                else_try=f"add [{kind}s.{name}]",
+            )
+
+
+def _check_tables(campaign: Campaign) -> None:
+    """Refuse keys that do not go together in one table."""
+    for own, wall in campaign.materials.items():
+        stated = [k for k in ("prior", "bounds", "same_absorption_as") if getattr(wall, k)]
+        if wall.product is not None and stated:
+            raise InputError(
+                f"a material of a product has {stated[0]} of its own",
+                where=f"{campaign.path}, materials.{own}.{stated[0]}",
+                needed=f"either product = {wall.product!r} or {stated[0]}",
+                hint=f"what is known of all its walls belongs to [products.{wall.product}]",
+                found=f"{stated[0]} beside product = {wall.product!r}",
+            )
+    for number, row in enumerate(campaign.rows, start=1):
+        where = f"{campaign.path}, measurements[{number}]"
+        what = "a measurement needs exactly one kind of data"
+        hint = "a table [[measurements]] for each file"
+        the_one(row, ("file", "parameters", "spectrum"), what, where, hint)
+        for kind in ("source", "receiver") if row.parameters is None else ():
+            if not getattr(row, kind):
+                what, hint = f"a measurement without a {kind}", f'{kind} = "NAME" of [{kind}s.NAME]'
+                raise InputError(what, where=where, found=f"no {kind}", needed=kind, hint=hint)
 
 
 def _check_pairs(campaign: Campaign) -> None:
@@ -354,38 +348,27 @@ def explained(
 ) -> InputError:
     """Turn pydantic's most telling complaint into one message in our words.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file that was read.
-    error : ValidationError
-    table : type
-        Of the whole file, whose keys are named where one is unknown.
-    file : str
-        What the file is called.
+    `table` is that of the whole `file`, whose keys are named where one is unknown.
     """
-    complaints = error.errors(include_url=False)
+    complaints = [(_place(c), c) for c in error.errors(include_url=False)]
     # a union tries every member: an unknown key says most, then what lies deepest in the file
-    first = next((c for c in complaints if c["type"] == "extra_forbidden"), None)
-    if first is None:
-        start = _place(complaints[0])[:2]
-        alike = [c for c in complaints if _place(c)[:2] == start]
-        first = max(alike, key=lambda c: len(_place(c)))
-    place, kind, given = _place(first), first["type"], first.get("input")
-    is_unknown, last = kind == "extra_forbidden", first["loc"][-1] if first["loc"] else ""
-    keys, field, inside = _walk(table, place[:-1] if is_unknown else place)
+    unknown = [c for c in complaints if c[1]["type"] == "extra_forbidden"]
+    alike = [c for c in complaints if c[0][:2] == complaints[0][0][:2]]
+    place, first = unknown[0] if unknown else max(alike, key=lambda c: len(c[0]))
+    kind, given, last = first["type"], first.get("input"), first["loc"][-1] if first["loc"] else ""
+    keys, field, inside = _walk(table, place[:-1] if unknown else place)
     words = " ".join(((field and field.description) or "").split()).partition(". ")[0].rstrip(".")
     hint: str | None = f"{words} (roomfit schema prints all keys)".lstrip()
-    found: str | None = repr(last if is_unknown else given)
-    key = ".".join([*keys, str(last)] if is_unknown else keys)
+    what, found = f"a value in the {file} is not what it must be", repr(given)
+    key = ".".join([*keys, str(last)] if unknown else keys)
     gone = GONE.get(f"{key} = {given}" if kind == "literal_error" else key)
     if gone is not None:
         what = f"a key or value of the {file} is of an earlier version"
-        needed, hint = "keys and values of this version", gone
-    elif is_unknown:
+        found, needed, hint = repr(last if unknown else given), "keys of this version", gone
+    elif unknown:
         known = sorted(_fields(inside)) if inside else []
         what, needed = f"unknown key in the {file}", f"one of {', '.join(known)}" if known else ""
-        hint = did_you_mean(str(last), known)
+        found, hint = repr(last), did_you_mean(str(last), known)
     elif kind == "missing" and isinstance(last, int):
         # a position of two numbers lacks its third: the fault is the list's
         what, place = f"a list in the {file} is too short", place[:-1]
@@ -395,28 +378,29 @@ def explained(
         needed = repr(str(last))
     else:
         # where several kinds are taken, a number of the right kind but out of its range says most
-        same = [c for c in complaints if _place(c) == place]
+        same = [c for at, c in complaints if at == place]
         ranged = [c for c in same if c["type"].endswith("than_equal")]
-        what = f"a value in the {file} is not what it must be"
         needed = ", or ".join(dict.fromkeys(_in_our_words(c["msg"]) for c in ranged or same))
         hint = (next(_reasons(field), None) if ranged and field else None) or hint
     where = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in place).lstrip(".")
-    return InputError(
-        what, where=f"{path}, {where or 'top level'}", found=found, needed=needed, hint=hint
-    )
+    where = f"{path}, {where or 'top level'}"
+    return InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def _in_our_words(message: str) -> str:
-    text = re.sub(_OF_PYDANTIC, "", message)
-    text = re.sub(r"greater than or equal to (\S+)", r"\1 or more", text)
-    text = re.sub(r"less than or equal to (\S+)", r"\1 or less", text)
-    return text.replace("a valid dictionary", "a table").replace("valid tuple", "valid list")
-
-
-_OF_PYDANTIC = (
-    r"^Input should be |^\w+ should have |, unable to parse.*| after validation.*"
-    r"| or (instance|an object).*"
-)
+    for pattern, ours in (
+        (r"^Input should be |^\w+ should have |, unable to parse.*| after validation.*", ""),
+        (r" or (instance|an object).*", ""),
+        (r"(greater|less) than or equal to (\S+)", r"\2 or \1"),
+    ):
+        message = re.sub(pattern, ours, message)
+    for theirs, ours in (
+        ("or greater", "or more"),
+        ("a valid dictionary", "a table"),
+        ("valid tuple", "valid list"),
+    ):
+        message = message.replace(theirs, ours)
+    return message
 
 
 def _walk(
@@ -432,7 +416,7 @@ def _walk(
     for part in place:
         if (own := _fields(model).get(str(part))) is not None:
             keys.append(str(part))
-            field, below = own, next(iter(_models_within(own.annotation)), None)
+            field, below = own, next(_models_within(own.annotation), None)
             model = below or model
     return keys, field, below
 
@@ -442,12 +426,11 @@ def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
-def _models_within(annotation: Any) -> list[type[BaseModel]]:
+def _models_within(annotation: Any) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if get_origin(annotation) in (Union, types.UnionType, dict, list):
-        return [m for a in get_args(annotation) for m in _models_within(a)]
-    return []
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models_within(inner)
 
 
 def _reasons(part: Any) -> Iterator[str]:
@@ -460,18 +443,11 @@ def _reasons(part: Any) -> Iterator[str]:
         yield from _reasons(inner)
 
 
-_MEMBER_NAMES = {
-    *("AreaSpectrum", "AreaPrior", "Spectrum", "Prior"),
-    *("Directivity", "MeasuredDirectivity", "SharedDirectivity"),
-    *("float", "str", "int", "constrained-float", "constrained-str"),
-}
+_MEMBER = re.compile(
+    r".*Table|.*\[.*|(Area)?(Spectrum|Prior)|.*Directivity|(constrained-)?(float|str)|int"
+)
 
 
 def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
     """Return where in the file a complaint points, without the names of union members."""
-    return tuple(
-        part
-        for part in complaint["loc"]
-        if isinstance(part, int)
-        or not (part.endswith("Table") or "[" in part or part in _MEMBER_NAMES)
-    )
+    return tuple(p for p in complaint["loc"] if isinstance(p, int) or not _MEMBER.fullmatch(p))

@@ -27,13 +27,8 @@ def read_directivity(
     impulse responses (data type FIR) that receivers all around a source have measured, one
     measurement; energies are means of the squared magnitude over the frequencies of each band.
 
-    Parameters
-    ----------
-    path : Path
-    bands : Bands
-    aim, up : array_like, shape (3,)
-        Where the front and the top of the loudspeaker point in the room. In the file's own frame
-        they are `SourceView` and `SourceUp`, x and z where it does not say.
+    `aim` and `up`, shape (3,), are where the front and the top of the loudspeaker point in the
+    room. In the file's own frame they are `SourceView` and `SourceUp`, x and z without these.
     """
     content = read_bytes(path, "directivity file")
     with located(str(path)):

@@ -104,22 +104,10 @@ def draft_campaign(
 ) -> str:
     """Return the text of a first campaign file, blanks in place of what is not known.
 
-    Parameters
-    ----------
-    room : RoomSpec or None
-        Its file or its lengths; a unit that is None is guessed, and so is the axis that points up.
-    recordings : mapping of file to (source, receiver)
-        Paths relative to `folder`, from `matching_files`.
-    positions : mapping of name to x, y, z in m, optional
-        Of sources and receivers; of a recording's they are looked up, others are left out.
-    folder : Path
-        Where the file will stand.
-    template : str, optional
-        That of the recordings' names, which then stands in place of a table for each.
-    because : str
-        Why the unit is what it is, where the caller chose it among several.
-    decay_times : Path, optional
-        A table of decay times, which then stands in place of positions and recordings.
+    A unit of the room that is None is guessed, and so is the axis that points up; `because` says
+    why it is what it is. `recordings` are files, relative to the `folder` where the campaign will
+    stand, with source and receiver; the template of their names takes the place of a table for
+    each, a table of decay times that of positions and recordings.
     """
     if decay_times is not None:
         commands = (

@@ -20,13 +20,7 @@ def shape_of(
 ) -> re.Pattern[str]:
     """Return the pattern of names of a template; {source} and {receiver} are groups, * any text.
 
-    Parameters
-    ----------
-    template : str
-    known : mapping, optional
-        The source and the receiver, where they are given.
-    one_of : iterable of str, optional
-        Names that either may have, in letters of any case; left out: any.
+    Either may be `known`, or `one_of` some names in letters of any case.
     """
     keys = set(re.findall(r"\{(\w+)\}", template))
     if keys != {"source", "receiver"} or "{" in str(Path(template).parent):
@@ -63,16 +57,11 @@ def matching_files(
 ) -> dict[str, tuple[str, str]]:
     """Return source and receiver by the name of each recording, relative to a folder.
 
-    Parameters
-    ----------
-    folder : Path
-    template : str or None
-        As in ``"responses/{source}_{receiver}.wav"``; * stands for any text. None: of
-        `recordings_in` the folder those whose names hold two of the known ones, the source first;
-        where none does, those of that shape, if most have it, else all of one source.
-    known : iterable of str
-        Names of sources and receivers. The case of letters does not matter. A name that may be
-        split at several places is split where both parts are known.
+    The template is as ``"responses/{source}_{receiver}.wav"``; * stands for any text. Without, of
+    `recordings_in` the folder those whose names hold two of the known ones, the source first; where
+    none does, those of that shape, if most have it, else all of one source. The case of letters of
+    known names does not matter. A name that may be split at several places is split where both
+    parts are known.
     """
     if template is None:
         stems = {name: Path(name).stem for name in recordings_in(folder)}

@@ -385,12 +385,8 @@ def identify_arguments(
 ) -> IdentifyArguments:
     """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    between_hz : (lowest, highest), optional
-        Centres of bands to fit in place of the campaign's, of the same kind. Lists with a value for
-        each band stay those of the campaign's, and hold for the ones among them only.
+    `between_hz`: lowest and highest centre to fit in place of the campaign's, of the same kind.
+    Lists with a value for each band stay those of the campaign's, and hold for the ones among them.
     """
     check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)

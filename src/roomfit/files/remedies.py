@@ -35,15 +35,8 @@ def advised(
 
     Left out is what the campaign says already, and names that it does not have.
 
-    Parameters
-    ----------
-    findings : sequence of Finding
-    campaign : Campaign
-        As `roomfit.read_campaign` returns it; its file is read again, for it alone says in which
-        table a value stands.
-    changed : bool
-        Whether the campaign was changed since the findings were raised, so that what counts from
-        its values is none of it any more.
+    Where the campaign was `changed` since they were raised, what counts from its values is none of
+    it any more. Its file is read again, for it alone says in which table a value stands.
     """
     content, found = read_toml(campaign.path), {}
     for code in dict.fromkeys(f.code for f in findings):
