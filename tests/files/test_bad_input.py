@@ -139,44 +139,6 @@ def sweep() -> np.ndarray:
     return 0.5 * np.sin(2 * np.pi * 50 * 0.5 / np.log(60) * (60.0**share - 1.0))
 
 
-@pytest.mark.parametrize(
-    ("pressure", "rate_hz", "words"),
-    [
-        (np.zeros(4000), RATE_HZ, "silent"),
-        (cut(0.05), RATE_HZ, "the decay is cut short"),
-        (cut(0.005), RATE_HZ, "too short"),
-        (sweep(), RATE_HZ, "deconvolution"),
-        (np.stack([cut(0.5), cut(0.5)], axis=1), RATE_HZ, "channel = a number from 0 to 1"),
-        (np.append(cut(0.4), np.nan), RATE_HZ, "not finite"),
-        (np.repeat(cut(0.5), 2), 2 * RATE_HZ, "different sampling rates"),
-        (np.random.default_rng(1).standard_normal(4000), RATE_HZ, "not like an impulse response"),
-    ],
-    ids=["silent", "cut-decay", "too-short", "sweep", "channels", "nan", "rates", "noise"],
-)
-def test_a_file_that_is_no_response_is_refused_by_name(refusal, tmp_path, pressure, rate_hz, words):
-    campaign = write_campaign(tmp_path / "campaign")
-    write_wav(tmp_path / "campaign" / "LS1_MP1.wav", pressure, rate_hz)
-    message = refusal(campaign)
-    assert words in message
-    assert "LS1_MP" in message
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"hello\n" * 100, None, b"RIFF"], ids=["empty", "text", "folder", "head"]
-)
-def test_what_is_given_for_a_recording_is_named_with_what_to_try(refusal, tmp_path, content):
-    campaign = write_campaign(tmp_path / "campaign")
-    wav = tmp_path / "campaign" / "LS1_MP1.wav"
-    wav.unlink()
-    if content is None:
-        wav.mkdir()
-    else:
-        wav.write_bytes(content)
-    message = refusal(campaign)
-    assert all(f"\n  {key} " in message for key in ("where", "found", "try"))
-    assert "LS1_MP1.wav" in message
-
-
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no file")
 def test_an_output_folder_where_none_can_be_made_is_refused_without_names_of_ours(
     tmp_path, monkeypatch, capsys

@@ -16,10 +16,8 @@ from hypothesis import strategies as st
 from report_cases import answer_of, scene_of
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.cli.export import export_result
 from roomfit.files.exports import (
-    FORMATS,
     resample,
     short_names,
 )
@@ -138,15 +136,6 @@ def test_the_wide_table_holds_values_and_intervals(tmp_path):
     assert rows["Wand grün", "identifiable"]["250"] == "false"
     assert rows["Wand grün", "identifiable"]["500"] == "true"
     assert ("Wand grün", "scattering") not in rows
-
-
-@pytest.mark.parametrize("wanted", FORMATS)
-def test_what_the_data_do_not_hold_is_reported_with_every_format(tmp_path, wanted):
-    written = export_result(write_result(tmp_path), wanted, tmp_path / "out")
-    doubt = {f.code: f for f in written.findings}[Code.EXPORT_NOT_IDENTIFIABLE]
-    assert doubt.evidence["materials"] == {"Wand grün": [250.0]}
-    assumed = Code.EXPORT_SCATTERING_ASSUMED in {f.code for f in written.findings}
-    assert assumed == (wanted not in ("csv", "odeon"))
 
 
 def test_an_octave_is_the_mean_of_its_thirds():

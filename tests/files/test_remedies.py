@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.encoding import finding_content, finding_of
 from roomfit.files.remedies import advice, advised, chosen
 
 ROOM = """
@@ -122,17 +120,6 @@ def test_positions_are_moved_and_scaled_and_uncertainties_stay_within_a_metre(
     assert [e.value for e in larger.edits] == [1.0, 0.6, 1.0, 1.0]
 
 
-@pytest.mark.parametrize(("unit", "n"), [("ft", 2), ("cm", 1)])
-def test_words_that_are_stated_are_of_all_keys_or_none(tmp_path: Path, unit: str, n: int) -> None:
-    text = ROOM.replace("[6, 5, 3]", f'[6, 5, 3]\nunit = "{unit}"').replace(
-        "[6, 5, 3]", "[20, 20, 9]"
-    )
-    own = campaign_of(tmp_path, text)
-    alone = Edit(("sources", "*"), "position", 2.0, "scale")
-    both = [Edit(("room",), "unit", "m", now=("ft",)), alone]
-    assert len(options(own, doubt(Remedy(both, "both"), Remedy([alone], "alone")))) == n
-
-
 def test_what_is_stated_otherwise_or_already_or_is_not_there_is_left_as_it_is(
     tmp_path: Path,
 ) -> None:
@@ -161,17 +148,6 @@ def test_what_counts_from_earlier_values_is_no_remedy_of_a_changed_campaign(tmp_
     finding = doubt(Remedy(edit, "moved", once=True))
     assert len(options(own, finding)) == 1
     assert options(own, finding, changed=True) == []
-
-
-def test_remedies_come_back_from_a_file_as_they_were(tmp_path: Path) -> None:
-    own = campaign_of(tmp_path, ROOM + ROWS)
-    finding = doubt(
-        of_files("latency_s", 0.002, "S1_R1.wav", how="add"),
-        Remedy([Edit(("groups", "g"), "sd", (0.0, 0.1, 0.0), now=(None,))], "words", once=True),
-    )
-    again = finding_of(json.loads(json.dumps(finding_content(finding))), "result")
-    assert written(options(own, again)) == written(options(own, finding))
-    assert [r.words for r in again.remedies] == ["", "words"]
 
 
 def test_lines_that_are_shown_are_those_that_are_written_and_choices_have_numbers(

@@ -371,16 +371,6 @@ def test_the_unit_of_the_drawing_is_obeyed_and_can_be_overruled(tmp_path, unit, 
     assert volume_m3(overruled) == pytest.approx(60 * (scale / 100) ** 3, rel=1e-9)
 
 
-def test_a_drawing_without_a_unit_needs_one(tmp_path):
-    document, space = drawing(0)
-    as_faces(space)
-    path = saved(document, tmp_path)
-    with pytest.raises(InputError, match="unit of the room file"):
-        read_mesh(RoomSpec(file=path))
-    mesh, _ = read_mesh(RoomSpec(file=path, unit="m"))
-    assert volume_m3(mesh) == pytest.approx(60, rel=1e-12)
-
-
 def test_nested_rows_of_blocks_land_where_another_program_puts_them(tmp_path):
     """Corners compared with those of ezdxf's own explosion of the same drawing."""
     document, space = drawing()
@@ -450,11 +440,3 @@ def small_dxf() -> bytes:
 
 GOOD = {"room.geo": BOX.encode(), "hall.geo": (PARTS + HALL).replace("INCLUDE parts", "").encode()}
 GOOD["room.dxf"] = small_dxf()
-
-
-def test_long_chains_and_deep_brackets_end_in_an_error_and_not_in_a_crash(tmp_path):
-    deep = BOX.replace("1 11.00 5.00 0.00", "1 " + "(" * 5000 + "1" + ")" * 5000 + " 5 0")
-    chain = "CORNERS\n" + "".join(f"{k} x({k + 1}) 0 0\n" for k in range(3000))
-    for text, words in ((deep, "too many brackets"), (chain + "PLANES\n[1 a/0 1 2/b]", "circle")):
-        with pytest.raises(InputError, match=words):
-            read_mesh(RoomSpec(file=written(tmp_path, text)))

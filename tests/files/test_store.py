@@ -7,9 +7,7 @@ import os
 
 import pytest
 
-from roomfit.base.errors import InputError
 from roomfit.base.whole_files import (
-    check_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
@@ -42,11 +40,3 @@ def test_content_that_cannot_be_written_leaves_the_old_file(tmp_path):
         write_json_atomically(target, {"x": float("nan")})
     assert json.loads(target.read_text())["x"] == 1
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_an_output_folder_with_something_in_it_is_refused_unless_permitted(tmp_path):
-    (tmp_path / "earlier.txt").write_text("result of a long night")
-    with pytest.raises(InputError, match=r"exists and is not empty(?s:.*)--overwrite"):
-        check_output_folder(tmp_path)
-    check_output_folder(tmp_path, overwrite=True)
-    assert (tmp_path / "earlier.txt").exists()
