@@ -17,7 +17,7 @@ from nicegui import Client, ui
 from nicegui.page import page
 
 from roomfit.app import project, tasks, views
-from roomfit.app.what_if import written_question
+from roomfit.app.tasks import written_question
 from roomfit.app.what_if_tab import TreatmentForm
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code

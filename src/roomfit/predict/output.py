@@ -35,9 +35,8 @@ _OF_A_CHANGE = COLUMNS[11:]
 
 def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) -> None:
     """Write ``predicted.json`` and ``predicted.csv`` into a folder."""
-    content = predicted_content(predicted, inputs)
-    write_text_atomically(folder / "predicted.csv", predicted_csv(predicted))
-    write_json_atomically(folder / "predicted.json", content)
+    write_text_atomically(folder / "predicted.csv", csv_of(predicted_records(predicted)))
+    write_json_atomically(folder / "predicted.json", predicted_content(predicted, inputs))
 
 
 def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str, Any]:
@@ -45,23 +44,20 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
 
     The first of the inputs is the campaign; the others are named as seen from its folder.
     """
+    rows = (predicted.absorption, predicted.lower95, predicted.upper95)
+    tables = {
+        "materials": _named(("absorption", "lower95", "upper95"), predicted.materials, *rows),
+        "objects": _named(
+            ("absorption_area_m2", "lower95_m2", "upper95_m2"),
+            predicted.objects_m2,
+            *zip(*predicted.objects_m2.values(), strict=True),
+        ),
+    }
     return {
         "format": "roomfit-predicted",
         "format_version": 1,
         "bands_hz": predicted.bands.centres_hz,
-        "materials": {
-            name: {
-                "absorption": predicted.absorption[i],
-                "lower95": predicted.lower95[i],
-                "upper95": predicted.upper95[i],
-            }
-            for i, name in enumerate(predicted.materials)
-        },
-        **(
-            {"objects": {k: _object_content(v) for k, v in predicted.objects_m2.items()}}
-            if predicted.objects_m2
-            else {}
-        ),
+        **{name: table for name, table in tables.items() if table or name == "materials"},
         "changes": list(predicted.changes),
         "pairs": [
             {
@@ -86,8 +82,12 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
     }
 
 
-def _object_content(areas_m2: FloatArray) -> dict[str, Any]:
-    return dict(zip(("absorption_area_m2", "lower95_m2", "upper95_m2"), areas_m2, strict=True))
+def _named(
+    keys: tuple[str, ...], names: Iterable[str], *rows: Iterable[FloatArray]
+) -> dict[str, dict[str, FloatArray]]:
+    """Return a value with its bounds by key, and these by name."""
+    each = zip(*rows, strict=True)
+    return {name: dict(zip(keys, own, strict=True)) for name, own in zip(names, each, strict=False)}
 
 
 def predicted_records(predicted: Predicted) -> Table:
@@ -107,11 +107,6 @@ def predicted_records(predicted: Predicted) -> Table:
                 rows.append((*own, centre, *map(float, values)))
     columns = [Column(name, "g" if name == "band_hz" else ".4f") for name in COLUMNS]
     return Table("", columns, rows)
-
-
-def predicted_csv(predicted: Predicted) -> str:
-    """Return one row a pair, parameter and band; empty cells where nothing is known."""
-    return csv_of(predicted_records(predicted))
 
 
 def parameters_content(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ Before and after a renovation, two methods, or two measurements of one room.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -91,32 +90,36 @@ def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> 
             needed="both in octaves, or both in third octaves",
             hint="identify one of the two again in the bands of the other",
         )
-    common, missing = {}, []
-    for what, own, other in (
-        ("material", first.materials, second.materials),
-        ("band", *(tuple(hertz(float(f)) for f in x.bands.centres_hz) for x in (first, second))),
-    ):
-        common[what] = [name for name in own if name in other]
-        if not common[what]:
-            raise InputError(
-                f"the two results have no {what} in common",
-                found=f"{', '.join(own)} and {', '.join(other)}",
-                needed="the same names in both campaigns" if what == "material" else "one band",
-                hint="compare two results of one room, fitted in a common band",
-            )
-        for which, here, there in (("first", own, other), ("second", other, own)):
-            if only := [name for name in here if name not in there]:
-                counted = what if len(only) == 1 else f"{what}s"
-                missing.append((which, f"has the {counted} {listing(only)}"))
-    names = common["material"]
+    heads = [tuple(hertz(float(f)) for f in x.bands.centres_hz) for x in (first, second)]
+    names, only = _in_common("material", first.materials, second.materials)
+    _, only_bands = _in_common("band", *heads)
+    sentences = sorted((*only, *only_bands), key=lambda text: "first" not in text)
     centres = np.intersect1d(first.bands.centres_hz, second.bands.centres_hz)
     a, b = (_chosen(x, names, centres) for x in (first, second))
     difference, p_value, given = _differences(a, b)
-    sentences = tuple(
-        f"Only the {which} result {has}." for which, has in sorted(missing, key=itemgetter(0))
-    )
     verdicts = _verdicts(p_value, given)
-    return Comparison(tuple(names), centres, a, b, difference, p_value, verdicts, sentences)
+    return Comparison(tuple(names), centres, a, b, difference, p_value, verdicts, tuple(sentences))
+
+
+def _in_common(
+    what: str, first: tuple[str, ...], second: tuple[str, ...]
+) -> tuple[list[str], list[str]]:
+    """Return the names that both have, and sentences on those that only one has."""
+    common = [name for name in first if name in second]
+    if not common:
+        raise InputError(
+            f"the two results have no {what} in common",
+            found=f"{', '.join(first)} and {', '.join(second)}",
+            needed="the same names in both campaigns" if what == "material" else "one band",
+            hint="compare two results of one room, fitted in a common band",
+        )
+    lone = {"first": set(first) - set(common), "second": set(second) - set(common)}
+    return common, [
+        f"Only the {which} result has the {what}{'s' * (len(own) > 1)} "
+        f"{listing([name for name in (*first, *second) if name in own])}."
+        for which, own in lone.items()
+        if own
+    ]
 
 
 def _chosen(answer: AbsorptionPosterior, names: list[str], centres_hz: FloatArray) -> FloatArray:

@@ -273,27 +273,25 @@ def parameter_rows(
         if name not in table:
             continue
         v, c = table[name], table[name].change
-        has_measured = np.isfinite(v.measured).any()
-        lines: dict[str, list[Cell]] = {}
+        has_measured = bool(np.isfinite(v.measured).any())
+        steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
+        measured = [
+            Cell(number(m, decimals), (step,) if step else ())
+            for m, step in zip(v.measured, steps, strict=True)
+        ]
         predicted = _with_bounds(decimals, v.predicted, v.lower95, v.upper95)
-        if not is_changed:
-            lines["predicted"] = predicted
-        if has_measured:
-            steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
-            lines["measured" if c is None else "measured before"] = [
-                Cell(number(m, decimals), tuple(filter(None, [step])))
-                for m, step in zip(v.measured, steps, strict=True)
-            ]
-        if is_changed and c is not None:
-            before = (c.before, c.before_lower95, c.before_upper95)
-            lines["model before"] = _with_bounds(decimals, *before)
+        lines = {"predicted": predicted, "measured": measured}
         if is_changed:
-            lines["model after"] = predicted
+            lines = {"measured": measured, "model after": predicted}
         if is_changed and c is not None:
-            if has_measured:
-                carried = (c.carried, c.carried_lower95, c.carried_upper95)
-                lines["carried over"] = _with_bounds(decimals, *carried)
+            before = _with_bounds(decimals, c.before, c.before_lower95, c.before_upper95)
+            carried = _with_bounds(decimals, c.carried, c.carried_lower95, c.carried_upper95)
+            lines = {"measured before": measured, "model before": before}
+            lines |= {"model after": predicted, "carried over": carried}
             lines |= dict([_change_cells(name, c, decimals, open_for)])
+        if not has_measured:
+            of_measured = ("measured", "measured before", "carried over")
+            lines = {what: cells for what, cells in lines.items() if what not in of_measured}
         heads = [title or label] + [""] * len(lines)
         rows += [
             (Cell(head, (what,)), *cells)
