@@ -42,8 +42,7 @@ class Face(NamedTuple):
     surface: Surface
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Triangulation:
+class Triangulation(NamedTuple):
     """The triangles of one polygon."""
 
     triangles: IntArray  # (n_triangles, 3), corners in the polygon's sense; empty without area

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 import numba
@@ -57,8 +57,7 @@ _COLUMNS: tuple[str | Column, ...] = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RoomTask:
+class RoomTask(NamedTuple):
     """A campaign of a batch, and where its answer lies."""
 
     name: str

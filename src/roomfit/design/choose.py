@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -121,8 +121,7 @@ def score(unknowns: Unknowns, information: FloatArray, criterion: Criterion) -> 
     return np.asarray(widths.max(axis=(-1, -2)) + _MEAN_BESIDE_WORST * mean)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Choice:
+class _Choice(NamedTuple):
     """What is chosen from, and by which criterion."""
 
     unknowns: Unknowns

@@ -5,7 +5,8 @@ Whether pressures of image sources will be added is not known before; they tell 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,7 @@ _MOST_CAUGHT, _FEWEST_RAYS = 4e6, 2_000
 _EARLY_S, _EARLY_PERIODS, _LATE_IMAGES = 0.2, 8.0, 100_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ExpectedFit:
+class _ExpectedFit(NamedTuple):
     """How measurements of the pairs of a scene will be made and fitted."""
 
     scene: Scene  # with all pairs

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -20,8 +21,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 _LEAST_VARIANCE = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Unknowns:
+class Unknowns(NamedTuple):
     """The absorptions that are to be found, and what is known of them before the choice.
 
     All for several draws of the absorption, since the information of a measurement depends on the
@@ -38,8 +38,7 @@ class Unknowns:
     upper: FloatArray  # (n,)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PriorInformation:
+class PriorInformation(NamedTuple):
     """What is known before the measurements that are to be chosen."""
 
     bands: Bands

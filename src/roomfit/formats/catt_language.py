@@ -62,8 +62,7 @@ _MOST_TOKENS = 1000
 _DEEPEST = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """One statement without its comment."""
 
     text: str

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +21,7 @@ _MOST_ATTRIBUTES = 10_000
 Attributes = Mapping[str, str | float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hdf5Variable:
+class Hdf5Variable(NamedTuple):
     """One member of the root of an HDF5 file."""
 
     values: FloatArray | None  # in the file's order of axes; None for anything but real numbers

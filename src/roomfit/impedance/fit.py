@@ -10,7 +10,7 @@ its own marginal likelihood, so that a smooth wall takes no roughness from a res
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +43,7 @@ _MOST_ROUNDS = 8
 _SETTLED = 5e-4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImpedanceFit:
+class ImpedanceFit(NamedTuple):
     """What a fit found."""
 
     problem: Problem

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,8 +165,7 @@ class CatalogueEntry:
         return np.asarray(self.logit_sd * a * (1.0 - a))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Catalogue:
+class Catalogue(NamedTuple):
     """All entries, in the order of the file: group by group."""
 
     entries: tuple[CatalogueEntry, ...]

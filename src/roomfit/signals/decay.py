@@ -7,7 +7,7 @@ responses or decay too little are refused.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from scipy import fft
@@ -349,8 +349,7 @@ _POINTS, _EARLY_S = 512, {"C50_dB": 0.05, "C80_dB": 0.08, "D50_percent": 0.05}
 _ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RoomParameters:
+class RoomParameters(NamedTuple):
     """Parameters of one source and receiver in every band."""
 
     bands: Bands

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
@@ -26,8 +27,7 @@ _LEAST_DB = 1.0
 _PADDING = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceMagnitude:
+class SourceMagnitude(NamedTuple):
     """Level of a source over frequency, about its own mean."""
 
     frequencies_hz: FloatArray  # (n,): rising
