@@ -86,7 +86,7 @@ def check_scattering(evidence: Evidence) -> Iterator[Finding]:
 def check_sources(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding for each source taken for omnidirectional that the data contradict."""
     unknown = evidence.fits.unknown_sources
-    fitted = () if unknown is None else unknown.sources
+    fitted = () if unknown is None else unknown.prior.sources
     for own in evidence.fits.contradicted:
         strongest = own.b[int(np.argmax(np.linalg.norm(own.b, axis=1)))]
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))

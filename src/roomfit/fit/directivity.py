@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
@@ -29,11 +30,9 @@ from roomfit.model.directivity import (
     FittedDirectivity,
     UnknownDirectivities,
     directed_band,
-    directivity_prior,
     energy_objective,
     row_bases,
     vectors_of,
-    with_cavity_prior,
 )
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import energy_terms, fitted_in_band
@@ -149,7 +148,7 @@ def contradicted_sources(
     vectors = np.array([scores[band][1] for band in sorted(scores)])
     return tuple(
         SourceGain(name, float(total[s]), vectors[:, s])
-        for s, name in enumerate(tested_sources.sources)
+        for s, name in enumerate(tested_sources.prior.sources)
         if total[s] > least
     )
 
@@ -159,12 +158,13 @@ def with_fitted_sources(
 ) -> DirectivityParameters:
     """Return the sources whose directivity is fitted, joined by those that were tested."""
     if unknown is None:
-        return replace(tested, aims=(None,) * tested.of_source.size)
+        return tested
+    first, then = unknown.prior, tested.prior
+    mean, root = np.concatenate((first.mean, then.mean)), block_diag(first.root, then.root)
+    later = tested.of_source + len(first.sources)
     return DirectivityParameters(
-        (*unknown.sources, *tested.sources),
-        np.where(tested.of_source >= 0, tested.of_source + len(unknown.sources), unknown.of_source),
-        np.concatenate((unknown.mean, tested.mean)),
-        np.concatenate((unknown.sd, tested.sd)),
+        UnknownDirectivities((*first.sources, *then.sources), mean, root),
+        np.where(tested.of_source >= 0, later, unknown.of_source),
         unknown.aims,
     )
 
@@ -213,12 +213,18 @@ def directivities_under_cavity_priors(
     fits: Sequence[BandFit | None],
 ) -> tuple[BandDirectivities | None, ...]:
     """Return the directivities of each band with the prior that all other bands leave."""
-    n = parameters.mean.size
+    start, n = parameters.prior, parameters.prior.mean.size
     likelihoods = [None if f is None else band_information(f, f.vector.size - n) for f in fits]
     priors = cavity_priors(likelihoods, np.log2(bands.centres_hz), CORRELATION_PER_OCTAVE, n)
+    unknown = [
+        UnknownDirectivities(
+            start.sources, start.mean + start.root @ mean, start.root @ np.linalg.cholesky(spread)
+        )
+        for mean, spread in priors
+    ]
     return tuple(
-        None if own is None else replace(own, unknown=with_cavity_prior(parameters, *prior))
-        for own, prior in zip(directivities, priors, strict=True)
+        None if own is None else replace(own, unknown=known)
+        for own, known in zip(directivities, unknown, strict=True)
     )
 
 
@@ -240,23 +246,20 @@ def band_directivities(
         return ()
     vectors, deviations = [], []
     for directivity, answer in zip(directivities, answers, strict=True):
-        unknown = directivity_prior(parameters)
+        unknown = parameters.prior
         free, covariance = np.zeros(unknown.mean.size), np.eye(unknown.mean.size)
         if directivity is not None and answer is not None and answer.directivity is not None:
             unknown, (free, covariance) = directivity.unknown, answer.directivity
         variance = np.einsum("ij,jk,ik->i", unknown.root, covariance, unknown.root)
         vectors.append(vectors_of(unknown, free))
         deviations.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
-    aims = parameters.aims or (None,) * len(scene.sources)
-    return tuple(
-        FittedDirectivity(
-            name,
-            np.stack([b[s] for b in vectors]),
-            np.stack([d[s] for d in deviations]),
-            {scene.sources[i].name: aims[i] for i in np.flatnonzero(parameters.of_source == s)},
-        )
-        for s, name in enumerate(parameters.sources)
-    )
+    found = []
+    for s, name in enumerate(parameters.prior.sources):
+        of = np.flatnonzero(parameters.of_source == s)
+        aims = {scene.sources[i].name: parameters.aims[i] for i in of}
+        b, sd = (np.stack([x[s] for x in each]) for each in (vectors, deviations))
+        found.append(FittedDirectivity(name, b, sd, aims))
+    return tuple(found)
 
 
 def directed_energies(
@@ -329,9 +332,10 @@ def directivity_parameters(
         own = names[i] if directivity.loudspeaker is None else directivity.loudspeaker
         first.setdefault(own, directivity)
         of_source[i], aims[i] = list(first).index(own), directivity.aim
-    mean = np.array([np.zeros(3) if d.mean is None else d.mean for d in first.values()])
+    mean = np.concatenate([np.zeros(3) if d.mean is None else d.mean for d in first.values()])
     sd = np.array([DEFAULT_B_SD if d.sd is None else d.sd for d in first.values()])
-    return DirectivityParameters(tuple(first), of_source, mean, sd, tuple(aims))
+    prior = UnknownDirectivities(tuple(first), mean, np.diag(np.repeat(sd, 3)))
+    return DirectivityParameters(prior, of_source, tuple(aims))
 
 
 def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
@@ -340,9 +344,9 @@ def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     names = [s.name for s, k in zip(measurements.scene.sources, known, strict=True) if not k]
     if not names:
         return None
-    of_source = np.where(known, -1, np.cumsum(~known) - 1)
-    mean, sd = np.zeros((len(names), 3)), np.full(len(names), DEFAULT_B_SD)
-    return DirectivityParameters(tuple(names), of_source, mean, sd)
+    of_source, n = np.where(known, -1, np.cumsum(~known) - 1), 3 * len(names)
+    prior = UnknownDirectivities(tuple(names), np.zeros(n), DEFAULT_B_SD * np.eye(n))
+    return DirectivityParameters(prior, of_source, (None,) * known.size)
 
 
 def is_fittable(measurements: Measurements, settings: Settings) -> bool:

@@ -177,31 +177,9 @@ CORRELATION_PER_OCTAVE = 0.8
 class DirectivityParameters:
     """Sources whose directivity is to be found, or the loudspeakers that several of them are."""
 
-    sources: tuple[str, ...]  # names, of loudspeakers where those are shared
+    prior: UnknownDirectivities  # the same in all bands; of loudspeakers where those are shared
     of_source: IntArray  # (n_scene_sources,), which of them a source of the scene is; -1: none
-    # mean, sd: (n_sources, 3) and (n_sources,), prior of the vectors b, the same in all bands
-    mean: FloatArray
-    sd: FloatArray
-    aims: tuple[FloatArray | None, ...] = ()  # of every source of the scene; empty: none is known
-
-
-def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownDirectivities:
-    """Return what is known of every source before any data."""
-    root = np.diag(np.repeat(directivity_parameters.sd, 3))
-    return UnknownDirectivities(
-        directivity_parameters.sources, directivity_parameters.mean.ravel(), root
-    )
-
-
-def with_cavity_prior(
-    directivity_parameters: DirectivityParameters, mean: FloatArray, covariance: FloatArray
-) -> UnknownDirectivities:
-    """Return the unknowns under what other bands determine of the free numbers."""
-    start = directivity_prior(directivity_parameters)
-    root = start.root @ np.linalg.cholesky(covariance)
-    return UnknownDirectivities(
-        directivity_parameters.sources, start.mean + start.root @ mean, root
-    )
+    aims: tuple[FloatArray | None, ...]  # of every source of the scene; None: not known
 
 
 def row_bases(
@@ -217,7 +195,7 @@ def row_bases(
 
     Shapes: `kept` (n_paths,).
     """
-    aims = directivity_parameters.aims or (None,) * len(scene.sources)
+    aims = directivity_parameters.aims
     found: dict[tuple[int, int], RowBasis] = {}
     bases = []
     for rows, (source, receiver) in zip(binned.rows, scene.pairs.tolist(), strict=True):
@@ -240,10 +218,9 @@ def directed_band(
     """Return where the rows of a band leave the sources, nothing known of these yet."""
     number = [int(scene.pairs[m.pair][0]) for m in files]
     source = directivity_parameters.of_source[number]
-    known = directivity_parameters.aims or (None,) * len(scene.sources)
     basis = tuple(bases[m.pair][: len(rows)] for rows, m in zip(energies.rows, files, strict=True))
-    unknown, aims = directivity_prior(directivity_parameters), tuple(known[i] for i in number)
-    return BandDirectivities(unknown, source, basis, aims)
+    aims = tuple(directivity_parameters.aims[i] for i in number)
+    return BandDirectivities(directivity_parameters.prior, source, basis, aims)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
