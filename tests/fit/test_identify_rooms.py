@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from _ac3d import as_obj
 from hostile import FAULTS, box, outcome
 from roomfit.base.findings import Code
 from roomfit.cli.demo import run_demo
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
-from small_campaign import run_command
 
 
 @pytest.mark.slow
@@ -68,27 +65,3 @@ def test_six_measured_responses_of_a_laboratory_are_explained(real_data, tmp_pat
     t20 = [p.parameters["T20_s"] for p in answer.pairs]
     error = np.array([np.abs(t.predicted / t.measured - 1.0) for t in t20])
     assert error[:, answer.bands.centres_hz >= 500.0].mean() <= 0.10
-
-
-@pytest.mark.slow
-def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_tell(
-    real_data, tmp_path, monkeypatch, capsys
-):
-    """BRAS CR2 with its mesh of five materials: one response cannot tell them all apart."""
-    folder = real_data / "bras_cr2"
-    wav = folder / "scene9_RIR_LS1_MP1_Dodecahedron.wav"
-    path = tmp_path / "campaign.toml"
-    path.write_text(
-        f'[room]\nfile = "{as_obj(folder / "scene9.ac")}"\nunit = "m"\nup = "y"\n'
-        "[air]\ntemperature_c = 19.5\nhumidity_percent = 41.7\n"
-        "[sources.LS1]\nposition = [0.931, -2.547, 0.723]\n"
-        "[receivers.MP1]\nposition = [-0.993, 1.426, 1.23]\n"
-        f'[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "{wav}"\n'
-    )
-    assert run_command(monkeypatch, "identify", path, "--out", tmp_path / "out") == 0
-    reported = capsys.readouterr().out
-    assert "What the data determine" in reported
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert len(result["materials"]) == 5
-    sure = [m["identifiable"] for m in result["materials"].values()]
-    assert not np.all(sure)

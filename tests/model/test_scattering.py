@@ -15,11 +15,10 @@ from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.model.scattering import (
     effective_fractions,
     effective_sample_size,
-    rows_for_band,
     sampling_groups,
     scattering_weights,
 )
-from roomfit.model.weighing import EnergyRows, energy_rows, weigh
+from roomfit.model.weighing import energy_rows, weigh
 from roomfit.room.scene import scene_of as roomfit_scene_of
 from roomfit.room.scene import shoebox_room
 from roomfit.tracing.paths import Paths, TraceSettings, hits
@@ -37,32 +36,9 @@ def paths() -> Paths:
     return trace(scene, settings, uniform_scattering(scene.room.materials, 0.3)).paths
 
 
-def rows_of(paths: Paths) -> list[EnergyRows]:
-    """Sort both pairs into windows."""
-    return [energy_rows(paths, pair, EDGES_S, SPEED_M_S) for pair in range(2)]
-
-
 def of(paths: Paths, s: FloatArray) -> Scattering:
     """Name the materials."""
     return Scattering(paths.materials, s)
-
-
-def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
-    """All walls alike and no absorption: images lose, and the expected sum stays in the late part.
-
-    The steady rate c / V of a room without absorption holds for any s, so that the slope of the
-    late energy is small against the energy: allowed is 0.5 of it per unit of s, from 8192 rays.
-    """
-    none = np.zeros((6, 1))
-
-    def energies(s: float) -> list[FloatArray]:
-        rows = rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[0]
-        return [weigh(r, none, NO_AIR) for r in rows]
-
-    for low, energy, high in zip(energies(0.299), energies(0.3), energies(0.301), strict=True):
-        slope = (high - low) / 0.002
-        late = slice(4, None)
-        assert abs(slope[0, late].sum()) < 0.5 * energy[0, late].sum()
 
 
 TWO = np.array([[0.0, 0.1, 0.2, 0.3, 0.6, 1.0], [0.5, 0.1, 0.6, 0.3, 0.2, 1.0]])
