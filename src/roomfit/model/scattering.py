@@ -31,22 +31,6 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
     ratio. Of paths drawn with several s0 by turns the former is the mean over groups, whichever
     group drew a path (the balance heuristic, E. Veach and L. J. Guibas, SIGGRAPH 1995).
     """
-    _check_drawn(paths, scattering)
-    traced, wanted = paths.sampling_scattering, scattering.coefficients
-    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
-    in_threads(_mixture_ratios, len(paths), _log_changes(traced, wanted), *hits, factor)
-    return factor
-
-
-def _check_drawn(paths: Paths, scattering: Scattering) -> None:
-    """Refuse other materials, and a scattering of which no path was drawn."""
-    if scattering.materials != paths.materials:
-        raise InputError(
-            "scattering and paths name different materials",
-            found=", ".join(scattering.materials),
-            needed=", ".join(paths.materials),
-            hint="use the scattering that the paths were traced with",
-        )
     traced, wanted = paths.sampling_scattering, scattering.coefficients
     undrawn = (traced != wanted) & ((traced == 0.0) | (traced == 1.0))
     missing = np.flatnonzero(undrawn[np.argmin(undrawn.sum(axis=1))])
@@ -59,6 +43,9 @@ def _check_drawn(paths: Paths, scattering: Scattering) -> None:
             needed="a sampling coefficient between 0 and 1",
             hint="trace again with the coefficient that is wanted",
         )
+    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
+    in_threads(_mixture_ratios, len(paths), _log_changes(traced, wanted), *hits, factor)
+    return factor
 
 
 @kernel(allocates=False)

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit.base.arguments import check_range, check_shape, float_array, read_only
-from roomfit.base.errors import InputError
+from roomfit.base.arguments import check_shape, float_array, read_only
 from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.tracing.paths import Paths, losses
@@ -73,15 +72,9 @@ def energy_rows(
     """Return the rows of one pair, each in the window ``edges[w] <= length / c < edges[w + 1]``.
 
     Paths before the first edge or from the last on are left out. Within a window the rows keep the
-    order of the paths. `own` are the paths of the pair where they are known. An `InputError` where
-    there is no such pair, or the edges do not rise.
+    order of the paths. `own` are the paths of the pair where they are known.
     """
-    check_range("the number of the pair of source and receiver", pair, 0, paths.n_pairs - 1)
     edges = float_array("window edges", edges_s, (None,), unit="s")
-    if edges.size < 2 or np.any(np.diff(edges) <= 0.0):
-        what = "window edges must rise and there must be at least two"
-        needed, hint = "two or more, each above the one before, in s", "sort them, each once"
-        raise InputError(what, found=str(edges.tolist())[:80], needed=needed, hint=hint)
     own = np.flatnonzero(paths.pair == pair) if own is None else own
     window = np.searchsorted(edges, paths.length_m[own] / speed_of_sound_m_s, side="right") - 1
     kept = (window >= 0) & (window < edges.size - 1)
@@ -165,10 +158,6 @@ def _zeros_of_size(size: int) -> FloatArray:
 
 def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
     """Return the same rows with every weight times a factor of its path, (n_paths,)."""
-    if rows.path is None:
-        what = "rows that are no single paths cannot be reweighed"
-        needed, hint = "rows as `energy_rows` makes them", "reweigh before merging equal rows"
-        raise InputError(what, found="merged rows", needed=needed, hint=hint)
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
 
 
