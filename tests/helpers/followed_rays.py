@@ -52,15 +52,9 @@ def follow_rays(
 ) -> FollowedRays:
     """Send rays from one point and count how often each has struck each material by given times.
 
-    Parameters
-    ----------
-    position_m : array_like, shape (3,)
-    times_s : array_like, shape (n_times,)
-        Rising.
-    n_rays : int
-        In the directions of one scrambled Sobol set; a power of two is best.
-    seed : int
-        Same seed, same hits, for any number of threads.
+    `position_m`, shape (3,). `times_s`, shape (n_times,): rising. `n_rays`: in the directions of
+    one scrambled Sobol set; a power of two is best. `seed`: same seed, same hits, for any number of
+    threads.
     """
     times = float_array("times", times_s, (None,), low=0.0, unit="s")
     start = float_array("position", position_m, (3,), low=-1e6, high=1e6, unit="m")
