@@ -29,23 +29,6 @@ class Observed:
     The spectrum of an impulse response times ``exp(-t / tau)``, with time from emission and
     ``exp(+j w t)``; the direct sound alone is ``exp(-j k r) / (4 pi r)`` up to a gain.
 
-    Parameters
-    ----------
-    frequency_hz : float array, shape (n_frequencies,)
-        Rising, 1 Hz to 100 kHz.
-    tau_s : float
-        Time constant of the window, 1e-4 to 10 s.
-    pressure : complex array, shape (n_pairs, n_frequencies)
-        Finite and not 0 everywhere; where `has_phase` is false, magnitudes.
-    noise : float array, shape (n_pairs, n_frequencies), optional
-        rms of the complex noise, in the unit of the pressure, 0 or more; None where unknown.
-    has_phase : bool
-
-    Raises
-    ------
-    InputError
-        Shapes that disagree, or a value out of its range.
-
     Examples
     --------
     >>> observed = Observed([250.0, 500.0], 0.01, [[0.1 - 0.2j, 0.05j]])
@@ -53,9 +36,11 @@ class Observed:
     ((1, 2), True)
     """
 
-    frequency_hz: FloatArray
-    tau_s: float
+    frequency_hz: FloatArray  # (n_frequencies,), rising, 1 Hz to 100 kHz
+    tau_s: float  # time constant of the window, 1e-4 to 10 s
+    # (n_pairs, n_frequencies), finite and not 0 everywhere; magnitudes where `has_phase` is false
     pressure: ComplexArray
+    # likewise, rms of the complex noise in the unit of the pressure, 0 or more; None: unknown
     noise: FloatArray | None = None
     has_phase: bool = True
 

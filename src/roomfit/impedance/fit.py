@@ -324,17 +324,15 @@ def thinned(problem: Problem) -> Problem:
     every = max(n_f // (2 * most), 1)  # two for each function of the smoothest curve
     if every == 1:
         return problem
-    chosen = np.arange(0, n_f, every)
-    observed = problem.observed
-    return replace(
-        problem,
-        model=at_frequencies(problem.model, chosen),
-        observed=replace(
-            observed,
-            frequency_hz=observed.frequency_hz[chosen],
-            pressure=observed.pressure[:, chosen],
-            noise=None if observed.noise is None else observed.noise[:, chosen],
-        ),
-        sd=problem.sd[:, chosen],
-        curves=tuple(c.at(chosen) for c in problem.curves),
+    chosen, whole = np.arange(0, n_f, every), problem.observed
+    observed = replace(
+        whole,
+        frequency_hz=whole.frequency_hz[chosen],
+        pressure=whole.pressure[:, chosen],
+        noise=None if whole.noise is None else whole.noise[:, chosen],
     )
+    model, curves = (
+        at_frequencies(problem.model, chosen),
+        tuple(c.at(chosen) for c in problem.curves),
+    )
+    return replace(problem, model=model, observed=observed, sd=problem.sd[:, chosen], curves=curves)

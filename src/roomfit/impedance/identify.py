@@ -51,30 +51,17 @@ _RIVAL = 1.5
 class ImpedanceSettings:
     """How impedances are searched for, and with which image model.
 
-    Parameters
-    ----------
-    random_starts : int
-        Random walls from which the search starts besides the usual ones, 0 or more.
-    spherical : bool
-        False takes waves at the walls as plane, which errs 5 times as much: for comparison.
-    model_error : float, optional
-        rms error of the image model itself, relative to the level, times wavenumber and mean free
-        path, 0 or more; left out: 0.16, or 1.3 with plane waves, as measured against exact wave
-        fields. Less only for data that another image model made.
-
-    Raises
-    ------
-    InputError
-        A negative number.
-
     Examples
     --------
     >>> ImpedanceSettings(random_starts=10).spherical
     True
     """
 
-    random_starts: int = 3
-    spherical: bool = True
+    random_starts: int = 3  # random walls from which the search starts besides the usual ones
+    spherical: bool = True  # False takes waves at the walls as plane, which errs 5 times as much
+    # rms error of the image model itself, relative to the level, times wavenumber and mean free
+    # path; None: 0.16, or 1.3 with plane waves, as measured against exact wave fields. Less only
+    # for data that another image model made
     model_error: float | None = None
 
     def __post_init__(self) -> None:
@@ -141,26 +128,18 @@ def identify_impedance(
     --------
     A box with one material of R0 = 0.6 at every frequency; pressures by the image model itself.
 
-    >>> from roomfit.base.air import Air
-    >>> from roomfit.room.mesh import shoebox_mesh
     >>> from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
-    >>> from roomfit.room.scene import Point, Scene, room_from_mesh
-    >>> sides = dict.fromkeys(("west", "east", "south", "north", "floor", "ceiling"), "walls")
-    >>> room = room_from_mesh(shoebox_mesh((5.0, 4.0, 3.0)), sides, (5.0, 4.0, 3.0))
-    >>> sources = (Point("S", [1.2, 1.1, 1.3]),)
-    >>> receivers = (Point("R1", [3.7, 2.8, 2.1]), Point("R2", [1.0, 2.9, 0.8]))
-    >>> scene = Scene(room, sources, receivers, [[0, 0], [0, 1]], Air())
+    >>> from roomfit.room.scene import scene_of, shoebox_room
+    >>> room = shoebox_room((5.0, 4.0, 3.0), "walls")
+    >>> receivers = {"R1": (3.7, 2.8, 2.1), "R2": (1.0, 2.9, 0.8)}
+    >>> scene = scene_of(room, {"S": (1.2, 1.1, 1.3)}, receivers)
     >>> f = np.arange(200.0, 301.0, 20.0)
     >>> model = wave_model(scene, f, 0.004)
     >>> p = predicted_pressure(model, np.full((1, 6), 0.6 + 0j), at_rest(model))
-    >>> result = identify_impedance(
-    ...     scene,
-    ...     Observed(f, 0.004, p, np.full(p.shape, 1e-4)),
-    ...     {"walls": WallModel("constant")},
-    ...     Nuisances(position_sd_m=0.0, speed_sd=0.0),
-    ...     rng=np.random.default_rng(1),
-    ...     settings=ImpedanceSettings(random_starts=1),
-    ... )
+    >>> observed = Observed(f, 0.004, p, np.full(p.shape, 1e-4))
+    >>> walls = {"walls": WallModel("constant")}
+    >>> known, rng = Nuisances(position_sd_m=0.0, speed_sd=0.0), np.random.default_rng(1)
+    >>> result = identify_impedance(scene, observed, walls, known, rng=rng)
     >>> result.verdict.word, bool(abs(result.materials[0].r0[0] - 0.6) < 0.01)
     ('identified', True)
     """

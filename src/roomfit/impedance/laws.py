@@ -275,19 +275,10 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallModel:
-    """How R0, the reflection coefficient of one material, is to depend on frequency.
+    """How R0, the reflection coefficient of one material, is to depend on frequency."""
 
-    `kind`: "spline" (any smooth course of a passive, causal wall), or "constant". `start_r0`: where
-    it starts, ``|start_r0| <= 1``.
-
-    Examples
-    --------
-    >>> WallModel("constant").kind
-    'constant'
-    """
-
-    kind: str = "spline"
-    start_r0: complex = 0.8
+    kind: str = "spline"  # any smooth course of a passive, causal wall; or "constant"
+    start_r0: complex = 0.8  # where it starts, at most 1 in size
 
     def __post_init__(self) -> None:
         check_known("unknown model of a wall", self.kind, ("spline", "constant"))

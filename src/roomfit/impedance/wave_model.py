@@ -197,29 +197,17 @@ DelayMode = Literal["source", "pair"]
 
 @dataclass(frozen=True, slots=True)
 class Nuisances:
-    """What may be wrong about a measurement, and is estimated together with the walls.
+    """What may be wrong about a measurement, and is estimated together with the walls."""
 
-    `position_sd_m`: prior standard deviation of every coordinate for which the scene specifies
-    none, 0 to 1 m; 0 takes them as exact. `speed_sd`: prior standard deviation of the speed of
-    sound, relative, 0 to 0.2; 0 takes it as exact. `gain`: known: pressures are absolute. common,
-    source, pair: one unknown complex gain for all, for each source or for each pair. spectrum: one
-    for each source and frequency; pair-spectrum: that, and one for each pair. `delay_sd_s`: prior
-    standard deviation of the time of emission, 0 to 0.1 s; 0 takes it as exact. `delay`: one time
-    for each source, or one for each pair, as of files that were cut one by one.
-
-    Examples
-    --------
-    Loudspeakers of unknown spectra at well-known positions.
-
-    >>> Nuisances(position_sd_m=0.002, gain="spectrum").speed_sd
-    0.01
-    """
-
+    # prior sd of every coordinate for which the scene specifies none, 0 to 1 m; 0: exact
     position_sd_m: float = 0.01
-    speed_sd: float = 0.01
+    speed_sd: float = 0.01  # prior sd of the speed of sound, relative, 0 to 0.2; 0: exact
+    # known: pressures are absolute. common, source, pair: one unknown complex gain for all, for
+    # each source or for each pair. spectrum: one for each source and frequency; pair-spectrum:
+    # that, and one for each pair
     gain: GainMode = "known"
-    delay_sd_s: float = 0.0
-    delay: DelayMode = "source"
+    delay_sd_s: float = 0.0  # prior sd of the time of emission, 0 to 0.1 s; 0: exact
+    delay: DelayMode = "source"  # one time for each source, or one for each pair
 
     def __post_init__(self) -> None:
         for name, high in (("position_sd_m", 1.0), ("speed_sd", 0.2), ("delay_sd_s", 0.1)):
