@@ -8,7 +8,7 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Edit
-from roomfit.files.edits import Preview, apply, can_undo, preview, undo
+from roomfit.files.edits import Preview, apply, preview, undo, undoable
 
 WRITTEN = """# of my room
 [room]
@@ -87,18 +87,18 @@ def test_a_campaign_that_cannot_be_edited_key_by_key_is_refused_and_stays(tmp_pa
 
 def test_a_remedy_can_be_undone_byte_by_byte_and_only_while_nobody_edits(tmp_path: Path) -> None:
     file = tmp_path / "campaign.toml"
-    assert not can_undo(tmp_path / "campaign.toml")
+    assert undoable(tmp_path / "campaign.toml") is None
     wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
     apply(tmp_path / "campaign.toml", wanted)
-    assert file.read_text() == wanted.after and can_undo(tmp_path / "campaign.toml")
+    assert file.read_text() == wanted.after and undoable(tmp_path / "campaign.toml")
     undo(tmp_path / "campaign.toml")
-    assert file.read_text() == WRITTEN and not can_undo(tmp_path / "campaign.toml")
+    assert file.read_text() == WRITTEN and undoable(tmp_path / "campaign.toml") is None
     assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
     with pytest.raises(InputError, match="nothing can be undone"):
         undo(tmp_path / "campaign.toml")
     apply(tmp_path / "campaign.toml", wanted)
     file.write_text(wanted.after + "# mine\n")
-    assert not can_undo(tmp_path / "campaign.toml")
+    assert undoable(tmp_path / "campaign.toml") is None
     with pytest.raises(InputError, match="nothing can be undone"):
         undo(tmp_path / "campaign.toml")
     assert file.read_text() == wanted.after + "# mine\n"

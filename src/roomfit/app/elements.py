@@ -250,7 +250,7 @@ class Advice:
 
     def show(self, advised: Sequence[Mapping[str, Any]]) -> None:
         """Draw a button for each code of a finding, with a choice where there is one."""
-        can_undo = edits.can_undo(self.file)
+        can_undo = edits.undoable(self.file) is not None
         if not emptied(self.place, (advised, can_undo)) or not (advised or can_undo):
             return
         with self.place, ui.element("div").classes("panel remedies"):

@@ -349,30 +349,24 @@ def apply(file: Path, wanted: Preview) -> None:
     rewrite(file, change)
 
 
-def _undone(file: Path, text: str) -> str | None:
-    """Return the text before the last remedy, None where there is none or it was edited since."""
+def undoable(file: Path) -> str | None:
+    """Return the campaign before the last remedy, None where there is none or it was edited since.
+
+    Also where either cannot be read.
+    """
     try:
         kept = json.loads(read_text(file.with_name(_UNDO), "text to be undone to"))
-        same = kept["written"] == sha256(text.encode()).hexdigest()
+        same = kept["written"] == sha256(campaign_text(file).encode()).hexdigest()
         return str(kept["before"]) if same else None
-    except (InputError, ValueError, KeyError, TypeError):  # none, or not as it was written
+    except (InputError, ValueError, KeyError, TypeError):
         return None
 
 
-def can_undo(file: Path) -> bool:
-    """Whether the campaign is as the last remedy left it, so that this can be taken back."""
-    try:
-        return _undone(file, campaign_text(file)) is not None
-    except InputError:
-        return False
-
-
 def undo(file: Path) -> None:
-    """Write the campaign as it was before the last remedy."""
+    """Write the campaign as it was before the last remedy, unless it was edited since."""
 
-    def change(text: str) -> str:
-        before = _undone(file, text)
-        if before is None:
+    def change(_: str) -> str:
+        if (before := undoable(file)) is None:
             raise InputError(
                 "nothing can be undone",
                 found="no remedy, or a campaign that was edited after it",

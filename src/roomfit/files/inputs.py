@@ -125,34 +125,28 @@ def object_areas_m2(
 ) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
     """Return the absorption area of all pieces of an object in m2: known, or mean and sd."""
     table, ways = campaign.objects[name], ("count", "floor_area_m2", "outlines")
+    by_floor = table.floor_area_m2 is not None or table.outlines is not None
+    known, prior = table.absorption_area_m2, table.prior
+    law: tuple[ArrayLike, ArrayLike] | None = None
     with located(f"objects.{name}"):
         if sum(getattr(table, way) is not None for way in ways) > 1:
             hint = "keep what the object's absorption was measured by"
             the_one(table, ways, "an object is measured in two ways", "", hint)
         n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
-        known, law = _areas_of_one(table, bands)
+        if isinstance(known, str):
+            known = object_catalogue_area(known, bands, by_floor=by_floor)[0].tolist()
+        if isinstance(prior, str):
+            law = object_catalogue_area(prior, bands, by_floor=by_floor)
+        elif prior is not None:
+            law = _mean_and_sd(prior, bands)
         if table.outlines is not None:
             n = _blocks_m2(table, mesh)[1]
-    return None if known is None else n * known, None if law is None else (n * law[0], n * law[1])
-
-
-def _areas_of_one(
-    table: ObjectTable, bands: Bands
-) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
-    """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
-    by_floor = table.floor_area_m2 is not None or table.outlines is not None
-    own, prior = table.absorption_area_m2, table.prior
-    known, law = None, None
-    if isinstance(own, str):
-        known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
-    elif own is not None:
-        known = np.asarray(in_these(own, bands, "absorption_area_m2"), dtype=np.float64)
-    if isinstance(prior, str):
-        law = object_catalogue_area(prior, bands, by_floor=by_floor)
-    elif prior is not None:
-        mean, sd = _mean_and_sd(prior, bands)
-        law = np.asarray(mean, dtype=np.float64), np.asarray(sd, dtype=np.float64)
-    return known, law
+        area_m2 = in_these(known, bands, "absorption_area_m2")
+    found = None if known is None else n * np.asarray(area_m2, dtype=np.float64)
+    if law is None:
+        return found, None
+    mean_m2, sd_m2 = (n * np.asarray(x, dtype=np.float64) for x in law)
+    return found, (mean_m2, sd_m2)
 
 
 def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
@@ -288,7 +282,21 @@ def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues,
             needed="impulse responses (file) or room parameters",
             hint="roomfit impedance reads this campaign",
         )
-    return (*map(read_file, campaign.measurements), *_read_tables(campaign))
+    known: dict[str, Iterable[str]] = {
+        "source": campaign.source_tables,
+        "receiver": campaign.receiver_tables,
+    }
+    found: list[MeasuredValues] = []
+    for table in campaign.tables:
+        values, findings = read_parameters(table.path, table.source or None, table.receiver or None)
+        for i, own in enumerate(values):
+            for kind, names in known.items():
+                what = f"a table of room parameters names a {kind} that no table defines"
+                hint = f"add [{kind}s.NAME], or choose rows with source and receiver"
+                check_known(what, getattr(own, kind), names, where=str(table.path), else_try=hint)
+            doubts = findings if i == 0 else ()
+            found.append(replace(own, use=table.use, findings=doubts, state=table.state))
+    return (*map(read_file, campaign.measurements), *found)
 
 
 def read_file(file: MeasurementTable) -> Measurement:
@@ -310,25 +318,6 @@ def read_file(file: MeasurementTable) -> Measurement:
         where=spec.where,
         findings=findings,
     )
-
-
-def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
-    found: list[MeasuredValues] = []
-    known: dict[str, Iterable[str]] = {
-        "source": campaign.source_tables,
-        "receiver": campaign.receiver_tables,
-    }
-    for table in campaign.tables:
-        values, findings = read_parameters(table.path, table.source or None, table.receiver or None)
-        for i, own in enumerate(values):
-            for kind, names in known.items():
-                name, where = getattr(own, kind), str(table.path)
-                what = f"a table of room parameters names a {kind} that no table defines"
-                hint = f"add [{kind}s.{name}], or choose rows with source and receiver"
-                check_known(what, name, names, where=where, else_try=hint)
-            doubts = findings if i == 0 else ()
-            found.append(replace(own, use=table.use, findings=doubts, state=table.state))
-    return found
 
 
 class IdentifyArguments(TypedDict):

@@ -111,7 +111,11 @@ def question_of_pairs(
             hint = f"add [{kind}s.NAME] with position = [x, y, z]"
             raise InputError(what, where=where, found="none", needed="one or more", hint=hint)
     measurements = tuple(m for m in read_measurements(campaign) if m.state == state)
-    scene = _at_state(campaign_scene(campaign, room), campaign, state)
+    scene = campaign_scene(campaign, room)
+    if state:
+        names, what = list(campaign.states), "the campaign does not define this state of the room"
+        check_known(what, state, names, where=str(campaign.path), else_needed="a table [[states]]")
+        scene = replace(scene, pair_state=np.full(len(scene.pairs), 1 + names.index(state)))
     if wanted.pairs == "campaign":
         scene = named_pairs(scene, {m.pair_name[:2] for m in measurements})
         if not len(scene.pairs):
@@ -125,16 +129,6 @@ def question_of_pairs(
         scene, measurements = grid_scene(scene, *wanted.grid_m), ()
     known = replace(known, findings=(*doubts, *known.findings, *dominated))
     return Question(scene, known, tuple(changes), measurements, settings, speech_db(campaign))
-
-
-def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:
-    """Return a scene with all of its pairs in one state of the room."""
-    if not state:
-        return scene
-    names = list(campaign.states)
-    what = "the campaign does not define this state of the room"
-    check_known(what, state, names, where=str(campaign.path), else_needed="a table [[states]]")
-    return replace(scene, pair_state=np.full(len(scene.pairs), 1 + names.index(state)))
 
 
 def _of_field(
