@@ -14,7 +14,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import campaign_room, check_campaign, room_priors
-from roomfit.files.reverberation import diffuse_field
+from roomfit.files.questions import diffuse_field
 from roomfit.materials.priors import object_area_m2
 from small_campaign import run_command
 

@@ -15,7 +15,6 @@ from roomfit.base.errors import InputError
 from small_campaign import (
     MATERIALS,
     RATE_HZ,
-    box_obj,
     run_command,
     small_responses,
     write_campaign,
@@ -104,29 +103,6 @@ def one_message(text: str) -> str:
 def test_a_fault_in_the_campaign_is_reported_in_one_message(refusal, tmp_path, old, new, words):
     message = refusal(write_campaign(tmp_path / "campaign", (old, new)))
     assert re.search(words, message), message
-
-
-@pytest.mark.parametrize(
-    ("content", "unit", "words"),
-    [
-        (box_obj(without="ceiling"), "m", ("the mesh leaks", "rays lost")),
-        (box_obj(more="f 1 2 2"), "m", ("without area", "ceiling")),
-        (box_obj(), "mm", ("are in different units", "check unit", "taken as millimetres")),
-        (box_obj(), "yard", ("unknown unit", "'yard'")),
-        (box_obj(), None, ("unit of the room file is not known", 'unit = "m"')),
-        ("v 0 0 0\n", "m", ("no faces", "room.obj")),
-        ("this is no room\n", "m", ("room.obj",)),
-    ],
-    ids=["leak", "zero-area", "wrong-unit", "unknown-unit", "no-unit", "no-faces", "no-room"],
-)
-def test_a_fault_in_the_room_file_is_reported_with_its_place(
-    refusal, tmp_path, content, unit, words
-):
-    specified = 'file = "room.obj"' + (f'\nunit = "{unit}"' if unit else "")
-    campaign = write_campaign(tmp_path / "campaign", (SHOEBOX, specified), (MATERIALS, ""))
-    (tmp_path / "campaign" / "room.obj").write_text(content)
-    message = refusal(campaign)
-    assert all(word in message for word in words), message
 
 
 def cut(seconds: float) -> np.ndarray:

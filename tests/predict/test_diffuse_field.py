@@ -9,7 +9,7 @@ import pytest
 
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.files.reverberation import areas_by_axis_m2
+from roomfit.files.questions import areas_by_axis_m2
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import unknown_material
 from roomfit.model.eyring import eyring_time_s

@@ -12,7 +12,7 @@ from reverberation import met
 from roomfit.base.air import Air
 from roomfit.base.logit import expit, logit
 from roomfit.files.campaign import read_campaign
-from roomfit.files.reverberation import diffuse_field
+from roomfit.files.questions import diffuse_field
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import unknown_material
 from roomfit.predict.diffuse import field_values, prepare_field

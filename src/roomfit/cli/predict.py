@@ -18,9 +18,8 @@ from roomfit.base.whole_files import (
 )
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import ResultFile
-from roomfit.files.questions import Wanted, question_of
+from roomfit.files.questions import Wanted, diffuse_field, diffuse_result_content, question_of
 from roomfit.files.results import check_disk_room, read_result
-from roomfit.files.reverberation import diffuse_field, diffuse_result_content
 from roomfit.predict.changes import read_change
 from roomfit.predict.diffuse_field import DiffuseAbsorption, diffuse_absorption
 from roomfit.predict.grid import grid_records
