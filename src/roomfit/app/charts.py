@@ -12,17 +12,13 @@ from typing import Any
 
 from matplotlib.ticker import MaxNLocator
 
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import parameter, short_hertz
 
 TIMES = "T30_s"
 """What decay times alone give."""
 LABELS = {
-    TIMES: "T30 in s",
-    "T20_s": "T20 in s",
-    "EDT_s": "EDT in s",
-    "C80_dB": "C80 in dB",
-    "D50_percent": "D50 in %",
-    "STI": "STI",
+    name: " in ".join(filter(None, (parameter(name).symbol, parameter(name).unit)))
+    for name in (TIMES, "T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
 }
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 Hz to 8 kHz together"

@@ -61,12 +61,9 @@ class Worker:
                 return await asyncio.wait_for(self._answer(request, progress), limit_s)
             except TimeoutError:
                 await self.stop()
-                raise InputError(
-                    "this took too long and was stopped",
-                    found=f"more than {limit_s:g} s",
-                    needed=f"at most {limit_s:g} s",
-                    hint="send a smaller file, or give it to roomfit check",
-                ) from None
+                what, found = "this took too long and was stopped", f"more than {limit_s:g} s"
+                needed, hint = f"at most {limit_s:g} s", "send a smaller file, or use roomfit check"
+                raise InputError(what, found=found, needed=needed, hint=hint) from None
             except asyncio.CancelledError:
                 await self.stop()
                 raise
@@ -89,12 +86,10 @@ class Worker:
         except (BrokenPipeError, ConnectionResetError, ValueError):
             pass
         await self.stop()
-        raise InputError(
-            "the process that did this has ended",
-            found="its end: it ran out of memory, or a library failed on the file",
-            needed="an answer",
-            hint="take the file out again; nothing else is lost",
-        )
+        what = "the process that did this has ended"
+        found = "its end: it ran out of memory, or a library failed on the file"
+        hint = "take the file out again; nothing else is lost"
+        raise InputError(what, found=found, needed="an answer", hint=hint)
 
     async def started(self) -> asyncio.subprocess.Process:
         """Return the process, a new one where there is none."""

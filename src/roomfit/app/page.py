@@ -51,14 +51,11 @@ class Page:
             heading("roomfit", 1)
             ui.label(str(bench.folder)).classes("soft")
             own: dict[str, str] = {"dark": "as the system"}
+            style = "margin-left: auto; min-width: 9rem"
             field(
-                own,
-                "dark",
-                "Colours",
-                [*_COLOURS],
-                style="margin-left: auto; min-width: 9rem",
+                own, "dark", "Colours", [*_COLOURS], style=style,
                 then=lambda: dark.set_value(_COLOURS[own["dark"]]),
-            )
+            )  # fmt: skip
         self.work = ui.element("section").props('aria-label="Work" role="status"').classes("bar")
         with ui.tabs().props("dense no-caps outside-arrows mobile-arrows align=left") as self.names:
             for tab in TABS:

@@ -230,19 +230,16 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     Devices delay each recording by another time: its clock is that of its direct sound, as its own
     table says (``unknown`` would be one delay for all files of a source).
     """
+    file = f"{RECORDINGS}/{response_name(source, receiver)}"
+    own = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
 
-    def measured(content: Mapping[str, Any]) -> list[Edit]:
+    def measured(content: Mapping[str, Any]) -> Iterator[Edit]:
         rows = content.get("measurements", [])
-        edits = [
-            Edit((kind, name), "position", FILL_IN)
-            for kind, name in zip(_KINDS, (source, receiver), strict=True)
-            if name not in content.get(kind, {})
-        ]
-        file = f"{RECORDINGS}/{response_name(source, receiver)}"
+        for kind, name in zip(_KINDS, (source, receiver), strict=True):
+            if name not in content.get(kind, {}):
+                yield Edit((kind, name), "position", FILL_IN)
         if all(row.get("file") != file for row in rows):
-            row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
-            edits += differences({}, row, "measurements", len(rows) + 1)
-        return edits
+            yield from differences({}, own, "measurements", len(rows) + 1)
 
     if has_campaign(folder):
         edit(folder, of=measured)
@@ -279,13 +276,12 @@ def set_decay_times(folder: Path, name: str) -> None:
     edit(folder, table, of=lambda content: _known_objects(content.get("objects", {})))
 
 
-def _known_objects(objects: Mapping[str, Mapping[str, Any]]) -> list[Edit]:
-    """Return what makes objects absorb as their entries say, which decay times cannot find out."""
-    found = [(n, t["prior"]) for n, t in objects.items() if isinstance(t.get("prior"), str)]
-    return [
-        *[Edit(("objects", n), "absorption_area_m2", entry) for n, entry in found],
-        *[Edit(("objects", n), "prior", None) for n, _ in found],
-    ]
+def _known_objects(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Edit]:
+    """Yield what makes objects absorb as their entries say, which decay times cannot find out."""
+    for name, table in objects.items():
+        if isinstance(entry := table.get("prior"), str):
+            yield Edit(("objects", name), "absorption_area_m2", entry)
+            yield Edit(("objects", name), "prior", None)
 
 
 @contextmanager
@@ -329,7 +325,7 @@ def table_positions(folder: Path) -> dict[str, tuple[float, float, float]]:
 
 
 def named_recordings(folder: Path, known: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Return source and receiver by file of all recordings of a
+    """Return source and receiver by file of all recordings of a project.
 
     By the tables of its campaign, blanks or not, by the template that this states, or else by names
     in the folder of recordings; `known` are further names of sources and receivers.
@@ -364,11 +360,8 @@ def _renamed(folder: Path, positions: Positions, moved: Positions, before: str) 
     loose = [i for i, row in enumerate(rows) if _is_loose(row, content, by_template)]
     kept = [row for i, row in enumerate(rows) if i not in loose]
     used = {row.get("file") for row in kept}
-    new = [
-        {"source": source, "receiver": receiver, "file": file}
-        for file, (source, receiver) in found.items()
-        if file not in used
-    ]
+    named = [(*pair, file) for file, pair in found.items() if file not in used]
+    new = [dict(zip(("source", "receiver", "file"), own, strict=True)) for own in named]
     needed = {k: [r[w] for r in (*kept, *new) if r.get(w)] for k, w in _KINDS.items()}
     # tables go, and with them blank points that nothing else needs
     gone: list[tuple[str | int, ...]] = [("measurements", i + 1) for i in loose]

@@ -145,35 +145,26 @@ class RoomTab(Tab):
     ) -> None:
         folder, own = self.bench.folder, dict(surface)
         heading(f"Surface {surface['name']}")
+        label, wide = "Material (choose, or type a new name and Enter)", "width: 100%"
         field(
-            own,
-            "material",
-            "Material (choose, or type a new name and Enter)",
-            names,
-            style="width: 100%; margin-bottom: 0.6rem",
+            own, "material", label, names, style=f"{wide}; margin-bottom: 0.6rem",
             then=lambda: self._change(
                 partial(project.set_surface_material, folder, own["name"], str(own["material"]))
             ),
-            with_input=True,
-            new_value_mode="add-unique",
-        )
+            with_input=True, new_value_mode="add-unique",
+        )  # fmt: skip
         entries = {e.name: e for e in catalogue().entries}
         likely = [n for n in suggested_entries(material["name"]) if n in entries]
         words = {n: catalogue_words()[n] for n in dict.fromkeys([*likely, *entries])}
         entry = entries.get(material["prior"])
         prior: dict[str, Any] = {"entry": None if entry is None else entry.name}
+        label = f"What {material['name']} is (search the catalogue)"
         field(
-            prior,
-            "entry",
-            f"What {material['name']} is (search the catalogue)",
-            words,
-            style="width: 100%",
+            prior, "entry", label, words, style=wide, with_input=True, clearable=True,
             then=lambda: self._change(
                 partial(project.set_prior, folder, material["name"], prior["entry"])
             ),
-            with_input=True,
-            clearable=True,
-        )
+        )  # fmt: skip
         if entry is not None:
             values = ", ".join(f"{a:.2f}" for a in entry.absorption)
             ui.label(f"Absorption of the catalogue, 63 to 8000 Hz: {values}").classes("small")

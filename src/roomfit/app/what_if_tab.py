@@ -50,17 +50,16 @@ class Changes:
     """What materials are to become, and what was found of them."""
 
     def __init__(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
-        self.bands_hz, self.found = bands_hz, found  # absorption by material
         # by material a name of the catalogue, or absorption in each band
         self.chosen: dict[str, str | list[float]] = {}
+        self.take_result(bands_hz, found)
 
     def take_result(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
         """Take another result; changes of what it does not have are forgotten."""
-        others = list(bands_hz) != list(self.bands_hz)
-        self.bands_hz, self.found = bands_hz, found
-        for name, own in list(self.chosen.items()):
-            if name not in found or (others and isinstance(own, list)):
-                del self.chosen[name]
+        stays = (str, list) if not self.chosen or list(bands_hz) == list(self.bands_hz) else str
+        self.bands_hz, self.found = bands_hz, found  # absorption by material
+        kept = {n: x for n, x in self.chosen.items() if n in found and isinstance(x, stays)}
+        self.chosen = kept
 
     def entry(self, material: str) -> str | None:
         """Return the entry of the catalogue that a material becomes, None: no entry."""
@@ -93,18 +92,16 @@ class Changes:
         Absorption that was moved is a factor on what was found, which keeps what is not known of
         it.
         """
-        texts = []
-        for material, own in self.chosen.items():
-            become = own
-            if isinstance(own, list):
-                # a band that nobody has touched stays exactly as it was found
-                factors = [
-                    1.0 if round(now, 3) == round(was, 3) else now / was
-                    for now, was in zip(own, self.found[material], strict=True)
-                ]
-                become = ",".join(f"x{f:.6g}" for f in factors)
-            texts.append(f"{material}={become}")
-        return texts
+
+        def become(material: str, own: str | list[float]) -> str:
+            if isinstance(own, str):
+                return own
+            # a band that nobody has touched stays exactly as it was found
+            each = zip(own, self.found[material], strict=True)
+            same = ((now, was, round(now, 3) == round(was, 3)) for now, was in each)
+            return ",".join("x1" if equal else f"x{now / was:.6g}" for now, was, equal in same)
+
+        return [f"{material}={become(material, own)}" for material, own in self.chosen.items()]
 
 
 class WhatIfTab(Tab):
@@ -466,15 +463,11 @@ class TreatmentForm:
             heading("Products", 3)
             self.products = ui.element("div").classes("asked")
             adding: dict[str, Any] = {"product": None}
+            label, wide = "Add a product (search the catalogue)", "max-width: 34rem"
             self.catalogue = field(
-                adding,
-                "product",
-                "Add a product (search the catalogue)",
-                catalogue_words(),
-                style="max-width: 34rem",
+                adding, "product", label, catalogue_words(), style=wide, with_input=True,
                 then=lambda: self._add_product(adding["product"]),
-                with_input=True,
-            )
+            )  # fmt: skip
             heading("Targets", 3)
             self.targets = ui.element("div")
             with ui.element("div").classes("bar"):
@@ -560,13 +553,12 @@ class TreatmentForm:
         wide = "flex: 0 1 18rem"
         field(target, "bands_hz", label, bands, style=wide, spoken=spoken).props("use-chips")
         mean = {"is": bool(target.get("mean_of_bands"))}
-        field(
-            mean,
-            "is",
-            "mean of the bands",
-            spoken=f"Target {number} is of the mean of its bands",
-            then=lambda: target.update(mean_of_bands=mean["is"] or None),
-        )
+        spoken = f"Target {number} is of the mean of its bands"
+
+        def take() -> None:
+            target["mean_of_bands"] = mean["is"] or None
+
+        field(mean, "is", "mean of the bands", spoken=spoken, then=take)
 
     def _show_answer(self, sentence: str) -> None:
         files = project.listed(self.bench.folder, project.TREATMENT)
@@ -577,9 +569,7 @@ class TreatmentForm:
             if sentence:
                 heading("The cheapest that was found", 3)
                 ui.label(sentence)
-            for file, place in found.items():
-                if file.suffix == ".svg":
-                    markup(f'<img alt="{escape(file.stem)}" src="{place}" width="100%">')
-            for file, place in found.items():
-                if file.suffix != ".svg":
-                    markup(f'<a href="{place}&save=1">{escape(file.name)}</a>')
+            for file in sorted(found, key=lambda file: file.suffix != ".svg"):  # pictures first
+                shown = f'<img alt="{escape(file.stem)}" src="{found[file]}" width="100%">'
+                link = f'<a href="{found[file]}&save=1">{escape(file.name)}</a>'
+                markup(shown if file.suffix == ".svg" else link)
