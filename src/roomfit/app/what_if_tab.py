@@ -52,14 +52,14 @@ class Changes:
     def __init__(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
         # by material a name of the catalogue, or absorption in each band
         self.chosen: dict[str, str | list[float]] = {}
-        self.take_result(bands_hz, found)
+        self.bands_hz, self.found = bands_hz, found  # absorption by material
 
     def take_result(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
         """Take another result; changes of what it does not have are forgotten."""
-        stays = (str, list) if not self.chosen or list(bands_hz) == list(self.bands_hz) else str
-        self.bands_hz, self.found = bands_hz, found  # absorption by material
-        kept = {n: x for n, x in self.chosen.items() if n in found and isinstance(x, stays)}
-        self.chosen = kept
+        stays = (str, list) if list(bands_hz) == list(self.bands_hz) else str
+        self.bands_hz, self.found = bands_hz, found
+        own = self.chosen.items()
+        self.chosen = {n: x for n, x in own if n in found and isinstance(x, stays)}
 
     def entry(self, material: str) -> str | None:
         """Return the entry of the catalogue that a material becomes, None: no entry."""
