@@ -197,7 +197,7 @@ def test_people_of_one_state_absorb_in_that_state_alone() -> None:
     assert object_pairs(both)[:, column].tolist() == [False, True]
     scattering = Scattering(scene.room.materials, np.zeros(7))
     paths = trace_images(both, 3, 0.1, scattering)
-    steps = losses(paths, slice(None))[:, column]
+    steps = losses(paths, np.arange(len(paths)))[:, column]
     np.testing.assert_array_equal(steps[paths.pair == 0], 0)
     lengths = paths.length_m[paths.pair == 1]
     np.testing.assert_array_equal(steps[paths.pair == 1], np.round(lengths / OBJECT_STEP_M))

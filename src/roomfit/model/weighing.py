@@ -76,10 +76,12 @@ def energy_rows(
     """
     edges = float_array("window edges", edges_s, (None,), unit="s")
     own = np.flatnonzero(paths.pair == pair) if own is None else own
-    window = np.searchsorted(edges, paths.length_m[own] / speed_of_sound_m_s, side="right") - 1
+    window = _windows(edges, paths.length_m[own] / speed_of_sound_m_s)
     kept = (window >= 0) & (window < edges.size - 1)
     own, window = own[kept], window[kept]
-    own = own[np.argsort(window, kind="stable")]
+    # numbers of 16 bits are sorted thirty times as fast
+    small = window.astype(np.uint16) if edges.size < 2**16 else window
+    own = own[np.argsort(small, kind="stable")]
     return EnergyRows(
         paths.materials,
         edges.size - 1,
@@ -91,6 +93,21 @@ def energy_rows(
         paths.n_batches,
         own.astype(np.int32),
     )
+
+
+@kernel()
+def _windows(edges: FloatArray, at: FloatArray) -> IntArray:
+    """Return the window of each number; -1 before the first, n_windows from the last edge on."""
+    found, n = np.empty(len(at), np.int64), len(edges) - 1
+    per_window = n / (edges[n] - edges[0])
+    for i in range(len(at)):
+        w = min(max(int((at[i] - edges[0]) * per_window), 0), n - 1)  # of edges that are uniform
+        while w >= 0 and at[i] < edges[w]:
+            w -= 1
+        while w < n and at[i] >= edges[w + 1]:
+            w += 1
+        found[i] = w
+    return found
 
 
 def merge_equal_rows(rows: EnergyRows) -> EnergyRows:

@@ -329,13 +329,13 @@ def image_paths(
     own = [o[(paths.batch[o] < 0) & (paths.length_m[o] <= longest_m)] for o in every]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *own])
     length = paths.length_m[chosen]
-    arrival = paths.arrival[chosen].astype(np.float64)
+    arrival = paths.arrival.take(chosen, axis=0).astype(np.float64)
     arrival /= np.sqrt(np.einsum("ni,ni->n", arrival, arrival))[:, None]
-    departure = paths.departure[chosen].astype(np.float64)
+    departure = paths.departure.take(chosen, axis=0).astype(np.float64)
     matrices = (
         _stand_in(departure, arrival)
         if paths.image_transform is None
-        else paths.image_transform[chosen]
+        else paths.image_transform.take(chosen, axis=0)
     )
     return ImagePaths(
         paths.materials,
@@ -347,7 +347,7 @@ def image_paths(
         np.ones(chosen.size),
         np.arange(chosen.size, dtype=np.int32),
         path=chosen.astype(np.int32),
-        reflections=None if paths.objects is None else hits(paths)[chosen].sum(axis=1),
+        reflections=None if paths.objects is None else hits(paths).take(chosen, axis=0).sum(axis=1),
     )
 
 

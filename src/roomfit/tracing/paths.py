@@ -110,13 +110,15 @@ def hits(paths: Paths) -> IntArray:
     return np.asarray(paths.hits_specular + paths.hits_diffuse)
 
 
-def losses(paths: Paths, own: BoolArray | IntArray | slice) -> IntArray:
+def losses(paths: Paths, own: IntArray) -> IntArray:
     """Return how often paths lose the share ``a`` of each material, uint16, (n, n_materials).
 
     At every hit on a wall, and of an object that stands in the room of the pair, which is met with
     equal probability wherever sound travels, at every `OBJECT_STEP_M` of the path's length.
     """
-    found = np.asarray(paths.hits_specular[own] + paths.hits_diffuse[own])
+    # rows are taken four times as fast as they are indexed
+    found = np.asarray(paths.hits_specular.take(own, axis=0))
+    found += paths.hits_diffuse.take(own, axis=0)
     if paths.objects is not None:
         steps = np.minimum(np.round(paths.length_m[own] / OBJECT_STEP_M), np.iinfo(np.uint16).max)
         found += steps.astype(np.uint16)[:, None] * paths.objects[paths.pair[own]]
@@ -125,8 +127,9 @@ def losses(paths: Paths, own: BoolArray | IntArray | slice) -> IntArray:
 
 def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
     """Return the chosen paths, by mask or index, with all that is known of them."""
-    columns: dict[str, Any] = {name: getattr(paths, name)[keep] for name in _PER_PATH}
-    transform = None if paths.image_transform is None else paths.image_transform[keep]
+    own = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
+    columns: dict[str, Any] = {name: getattr(paths, name).take(own, axis=0) for name in _PER_PATH}
+    transform = None if paths.image_transform is None else paths.image_transform.take(own, axis=0)
     return replace(paths, **columns, image_transform=transform)
 
 
