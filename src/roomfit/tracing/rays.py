@@ -430,9 +430,10 @@ def _trace_source(
         caught = _trace_block(walls, job, directions, rays, int(1.2 * per_ray * _CHUNK_RAYS) + 64)
         filled = np.flatnonzero(np.arange(caught.ray.shape[1]) < caught.found[:, None])
         # of each crossing; rows are taken four times as fast as they are indexed by a mask
-        sphere, ray, length_m, chord_m, specular, diffuse, arrival = (
+        taken: list[Any] = [
             each.reshape(-1, *each.shape[2:]).take(filled, axis=0) for each in caught[1:8]
-        )
+        ]
+        sphere, ray, length_m, chord_m, specular, diffuse, arrival = taken
         columns = [
             pair.astype(np.int32)[sphere],
             length_m,
