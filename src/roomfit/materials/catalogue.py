@@ -11,7 +11,6 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NamedTuple
@@ -118,8 +117,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     return middle, np.maximum(np.sqrt(variance), between_laboratories / (a * (1.0 - a)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Reading(NamedTuple):
     """One row of one published table."""
 
     source: str  # the publication, in full
@@ -127,12 +125,8 @@ class Reading:
     # (8,), octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed
     absorption: FloatArray
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "absorption", read_only(np.array(self.absorption)))
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CatalogueEntry:
+class CatalogueEntry(NamedTuple):
     """A common material with what tables print of it."""
 
     name: str  # lower case with hyphens: ``"carpet-on-underlay"``
@@ -143,10 +137,6 @@ class CatalogueEntry:
     # `roomfit.materials.catalogue`
     logit_mean: FloatArray
     logit_sd: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("logit_mean", "logit_sd"):
-            object.__setattr__(self, name, read_only(np.array(getattr(self, name))))
 
     @property
     def absorption(self) -> FloatArray:
@@ -197,12 +187,12 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
         for source, row, values in material["readings"]:
             eight = np.full(8, np.nan)
             eight[7 - len(values) : 7] = values
-            rows.append(Reading(content["sources"][source], row, eight))
+            rows.append(Reading(content["sources"][source], row, read_only(eight)))
         readings[name], tables[name] = tuple(rows), np.array([r.absorption for r in rows])
     common = common_spread(tables.values())
     entries = []
     for name, material in content["materials"].items():
-        mean, sd = typical_logit(tables[name], common)
+        mean, sd = map(read_only, typical_logit(tables[name], common))
         group, what = material["group"], material["what"]
         entries.append(CatalogueEntry(name, group, what, readings[name], mean, sd))
     return Catalogue(tuple(entries), common)
