@@ -96,12 +96,11 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
     exact = 1000.0 * 10.0 ** (step * np.round(np.log10(nominal / 1000.0) / step))
     off = np.abs(nominal / exact - 1.0)
     if np.any(off > 0.03):
-        raise InputError(
-            f"not a centre frequency of {kind} bands",
-            found=f"{nominal[int(np.argmax(off))]:g} Hz",
-            needed="nominal centres of IEC 61260-1 (125, 250, 500, ... for octaves)",
-            hint="use the nominal centre, as 63 Hz and not 60 Hz",
-        )
+        what = f"not a centre frequency of {kind} bands"
+        found = f"{nominal[int(np.argmax(off))]:g} Hz"
+        needed = "nominal centres of IEC 61260-1 (125, 250, 500, ... for octaves)"
+        hint = "use the nominal centre, as 63 Hz and not 60 Hz"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     return np.asarray(exact)
 
 

@@ -119,12 +119,11 @@ def at_most_threads(wanted: int | None = None) -> Iterator[None]:
     most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     said = os.environ.get(_THREADS, "") if wanted is None else str(wanted)
     if said and not (said.isascii() and said.isdigit() and int(said) > 0):
+        what = "the number of threads is no whole number from 1 up"
+        needed = f"1 to {most}, the cores of this machine"
+        hint = "leave it out, and all cores are used"
         raise InputError(
-            "the number of threads is no whole number from 1 up",
-            where=f"{_THREADS} in the environment",
-            found=repr(said),
-            needed=f"1 to {most}, the cores of this machine",
-            hint="leave it out, and all cores are used",
+            what, where=f"{_THREADS} in the environment", found=repr(said), needed=needed, hint=hint
         )
     before = numba.get_num_threads()
     numba.set_num_threads(min(int(said or before), most))

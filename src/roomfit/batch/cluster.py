@@ -106,11 +106,9 @@ def completed(client: Any, tasks: Iterable[Callable[[], object]]) -> Iterator[tu
                 else:
                     yield number, future
     except (CancelledError, OSError) as error:  # also of dask itself, when its scheduler is gone
-        raise StoreError(
-            "the connection to the scheduler is lost",
-            found="tasks were cancelled",
-            hint="run the same command again: what is done is not done again",
-        ) from error
+        what = "the connection to the scheduler is lost"
+        hint = "run the same command again: what is done is not done again"
+        raise StoreError(what, found="tasks were cancelled", hint=hint) from error
     finally:
         with suppress(Exception):
             client.cancel([*running])
@@ -125,11 +123,9 @@ def result_of(future: Any) -> Any:
     """Return what a task returned, or raise what it raised."""
     if _died(future):
         deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
-        raise InsufficientDataError(
-            "every worker that had the task died",
-            found=f"{deaths} of them",
-            hint="memory is the usual reason: fewer workers on a machine leave more for each",
-        )
+        what = "every worker that had the task died"
+        hint = "memory is the usual reason: fewer workers on a machine leave more for each"
+        raise InsufficientDataError(what, found=f"{deaths} of them", hint=hint)
     return future.result()
 
 

@@ -354,12 +354,11 @@ def _check_product(name: str, members: list[MaterialPrior]) -> None:
                 hint=f"state them once, in [products.{name}]",
             )
         if k.known is not None and not np.all((k.known > k.lower) & (k.known < k.upper)):
+            what = "an absorption at its bound says nothing of other walls of a product"
+            found, needed = f"{k.known}", f"{k.lower:g} < absorption < {k.upper:g}"
+            hint = "leave out its product"
             raise InputError(
-                "an absorption at its bound says nothing of other walls of a product",
-                where=f"materials.{k.name}.absorption",
-                found=f"{k.known}",
-                needed=f"{k.lower:g} < absorption < {k.upper:g}",
-                hint="leave out its product",
+                what, where=f"materials.{k.name}.absorption", found=found, needed=needed, hint=hint
             )
 
 
@@ -428,11 +427,10 @@ def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scatte
 def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) -> FloatArray:
     """Return a copy of the coefficients in the order of a room's materials, their last axis."""
     if set(scattering.materials) != set(materials):
+        what = "scattering and room name different materials"
+        hint = "give the scattering of each material of the room, in any order"
         raise InputError(
-            "scattering and room name different materials",
-            found=", ".join(scattering.materials),
-            needed=", ".join(materials),
-            hint="give the scattering of each material of the room, in any order",
+            what, found=", ".join(scattering.materials), needed=", ".join(materials), hint=hint
         )
     order = [scattering.materials.index(m) for m in materials]
     return np.array(scattering.coefficients[..., order])
