@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.paper.repeat import (
+from roomfit.paper.output import (
     GRID,
     grid_errors,
     grid_minima,
