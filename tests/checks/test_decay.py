@@ -12,10 +12,7 @@ from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
 from roomfit.checks import decay
-from roomfit.checks.decay import (
-    certain_misses,
-    decay_misses,
-)
+from roomfit.checks.decay import certain_misses, decay_misses
 from roomfit.checks.reflections import (
     WallReflectance,
     isolated_reflections,

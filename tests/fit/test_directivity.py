@@ -19,21 +19,11 @@ from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.cli.identify import identify_to_folder
-from roomfit.demo.boxes import (
-    SyntheticBox,
-    add_noise,
-    pressure_response,
-)
+from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.inputs import (
-    load_campaign,
-    material_priors,
-    source_directivities,
-)
+from roomfit.files.inputs import load_campaign, material_priors, source_directivities
 from roomfit.files.results import read_result, write_result
-from roomfit.fit.directivity import (
-    directivity_parameters,
-)
+from roomfit.fit.directivity import directivity_parameters
 from roomfit.fit.measurements import collect_measurements
 from roomfit.identify import identify
 from roomfit.materials.priors import unknown_material

@@ -18,11 +18,7 @@ from roomfit.demo.boxes import (
     pressure_response,
     true_box,
 )
-from roomfit.fit.displacement import (
-    LENGTH_SD_M,
-    displaced,
-    offsets_of,
-)
+from roomfit.fit.displacement import LENGTH_SD_M, displaced, offsets_of
 from roomfit.materials.priors import unknown_material
 from roomfit.room.scene import PointGroup, Scene
 from simulated_rooms.random_boxes import random_plan

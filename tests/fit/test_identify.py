@@ -13,12 +13,7 @@ from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments, load_campaign
 from roomfit.identify import identify
 from roomfit.result import Result
-from small_campaign import (
-    ABSORPTION,
-    small_responses,
-    write_campaign,
-    write_wav,
-)
+from small_campaign import ABSORPTION, small_responses, write_campaign, write_wav
 
 
 def answer_to(folder: Path, *changes: tuple[str, str]) -> Result:

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roomfit.base.typing import FloatArray
-from roomfit.fit.scattering import (
-    GRID,
-    choose_scattering,
-)
+from roomfit.fit.scattering import GRID, choose_scattering
 
 
 def bell(truth: FloatArray, width: float | FloatArray = 0.1):

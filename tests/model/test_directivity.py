@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_geometry, small_paths, small_term
-from roomfit.fit.directivity import (
-    band_information,
-    cavity_priors,
-)
+from roomfit.fit.directivity import band_information, cavity_priors
 from roomfit.model.directivity import (
     BandDirectivities,
     UnknownDirectivities,
@@ -21,11 +18,7 @@ from roomfit.model.directivity import (
 from roomfit.model.early import fixed_paths
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import Parameters, position_of, start_vector
-from roomfit.model.patterns import (
-    Pattern,
-    directivity_factors,
-    pattern_basis,
-)
+from roomfit.model.patterns import Pattern, directivity_factors, pattern_basis
 from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
 from roomfit.pressures.geometry import whole_covariance

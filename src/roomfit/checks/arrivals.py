@@ -19,13 +19,7 @@ from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code, Edit, Finding, Remedy
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.checks.evidence import (
-    UNDECIDED,
-    Recorded,
-    about_files,
-    files_in_words,
-    of_files,
-)
+from roomfit.checks.evidence import UNDECIDED, Recorded, about_files, files_in_words, of_files
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.room.scene import Point, Scene
 from roomfit.signals.measurement import Measurement

@@ -15,13 +15,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
 from roomfit.model.patterns import Directivities
 from roomfit.room.mesh import refuse
-from roomfit.room.scene import (
-    NEAREST_PAIR_M,
-    Scene,
-    distances_m,
-    pair_names,
-    position_findings,
-)
+from roomfit.room.scene import NEAREST_PAIR_M, Scene, distances_m, pair_names, position_findings
 from roomfit.settings import DECAY_RANGE_DB
 from roomfit.signals.decay import (
     DecayCurve,

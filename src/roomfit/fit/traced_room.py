@@ -35,12 +35,7 @@ from roomfit.model.reduced_rows import (
     ReducedRows,
     reduced,
 )
-from roomfit.model.room_parameters import (
-    ValuesTerm,
-    scatter_parts,
-    strengths_db,
-    value_terms,
-)
+from roomfit.model.room_parameters import ValuesTerm, scatter_parts, strengths_db, value_terms
 from roomfit.model.weighing import regrouped_rows, rows_in_air
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import (

@@ -18,12 +18,7 @@ from scipy.sparse import block_diag, csr_array
 from roomfit.base.forks import count_evaluation
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.model.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
-from roomfit.model.energy import (
-    EnergyTerm,
-    model_variance,
-    parts_of,
-    variance_of_batches,
-)
+from roomfit.model.energy import EnergyTerm, model_variance, parts_of, variance_of_batches
 from roomfit.model.patterns import amplitude_and_slope, pattern_basis
 from roomfit.model.problem import DataTerm, Rows, Values
 from roomfit.signals.filters import (

@@ -25,10 +25,7 @@ from roomfit.model.weighing import (
     taken_rows,
     weigh_parts,
 )
-from roomfit.model.windows import (
-    squares_in_windows,
-    with_squares,
-)
+from roomfit.model.windows import squares_in_windows, with_squares
 
 _RINGING_S = 2e-3
 

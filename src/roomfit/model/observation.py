@@ -14,12 +14,7 @@ from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.model.binned import BIN_S, BinnedPaths, in_band
-from roomfit.model.energy import (
-    EnergyTerm,
-    Observation,
-    fine_edges_s,
-    in_air,
-)
+from roomfit.model.energy import EnergyTerm, Observation, fine_edges_s, in_air
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.weighing import first_rows, weigh
 from roomfit.model.windows import band_spreading, spread_energy, window_edges_s

@@ -17,12 +17,7 @@ from scipy.special import gammaln
 
 from roomfit.base.arguments import read_only
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.model.parameters import (
-    Parameters,
-    fitted_columns,
-    physical_values,
-    start_vector,
-)
+from roomfit.model.parameters import Parameters, fitted_columns, physical_values, start_vector
 
 if TYPE_CHECKING:
     from roomfit.model.energy import EnergyTerm
