@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -55,9 +56,7 @@ def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
         f"same peak, {peak:.3g}, at unlike distances: they were normalised one by one, and their "
         'levels say nothing. Set level = "per-file", or export them without normalisation.'
     )
-    numbers = {"peak": peak, "files": [m.where for m in files]}
-    advised = of_files(files, "level", "per-file")
-    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers, remedies=[advised])
+    return _apart(files, text, {"peak": peak})
 
 
 def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
@@ -72,22 +71,25 @@ def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
     steps = np.diff(late_db[order])
     at = int(np.argmax(steps)) + 1
     low, high = order[:at], order[at:]
-    step_db, apart_db = (
-        float(np.median(x[high]) - np.median(x[low])) for x in (late_db, direct_db)
-    )
+    both = (late_db, direct_db)
+    step_db, apart_db = (float(np.median(x[high]) - np.median(x[low])) for x in both)
     alike = max(np.std(late_db[low]), np.std(late_db[high])) <= _WITHIN_DB
     least_db = _LEAST_STEP_DB if len(group) > 2 else _LEAST_STEP_OF_TWO_DB
     if steps[at - 1] < least_db or not alike or abs(step_db - apart_db) > _DIRECT_WITHIN_DB:
         return None
     odd, way = (high, "louder") if len(high) <= len(low) else (low, "softer")
     files = [group[i].measurement for i in odd]
+    names = f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}"
     text = (
-        f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}: "
-        f"{step_db:.1f} dB {way} than the other "
-        f"{len(group) - len(files)} files of {files[0].source}, direct sound and decay alike, "
-        'as by another gain: set level = "per-file", or correct the levels.'
+        f"{names}: {step_db:.1f} dB {way} than the other {len(group) - len(files)} files of "
+        f"{files[0].source}, direct sound and decay alike, as by another gain: set level = "
+        '"per-file", or correct the levels.'
     )
-    numbers = {"step_db": step_db, "files": [m.where for m in files]}
+    return _apart(files, text, {"step_db": step_db})
+
+
+def _apart(files: Sequence[Measurement], text: str, numbers: dict[str, Any]) -> Finding:
+    numbers |= {"files": [m.where for m in files]}
     advised = of_files(files, "level", "per-file")
     return Finding(Code.LEVELS_APART, about_files(*files), text, numbers, remedies=[advised])
 
