@@ -77,11 +77,9 @@ def pair_energies(
 def bin_paths(
     scene: Scene, bands: Bands, paths: Paths, duration_s: float, factors: FloatArray | None = None
 ) -> BinnedPaths:
-    """Sort the paths of every pair into bins of a tenth of a millisecond.
+    """Sort the paths of every pair into bins of 0.1 ms, weighed by factors (n_bands, n_paths).
 
     The bins begin four periods of the lowest band before emission.
-
-    Shapes: `factors` (n_bands, n_paths).
     """
     first = -int(np.ceil(4.0 / bands.centres_hz[0] / BIN_S))
     last = int(np.ceil(duration_s / BIN_S))

@@ -189,12 +189,7 @@ def row_bases(
     binned: BinnedPaths,
     kept: BoolArray | None = None,
 ) -> tuple[RowBasis, ...]:
-    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known.
-
-    And once for all states of the room, whose paths are those of one trace.
-
-    Shapes: `kept` (n_paths,).
-    """
+    """Return `pattern_basis` of the rows of every pair, once for all bands and states."""
     aims = directivity_parameters.aims
     found: dict[tuple[int, int], RowBasis] = {}
     bases = []

@@ -95,10 +95,7 @@ class EnergyTerm(DataTerm):
         return np.concatenate([o.energy for o in self.observations])
 
     def predict(self, values: Values) -> Rows:
-        """Return what the model expects in every window, by absorption and gains.
-
-        Where there are patterns, also by b of the source that a window receives.
-        """
+        """Return what the model expects in every window, by absorption, gains and b of sources."""
         count_evaluation()
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         walls, air = values["absorption"], self.attenuation_per_m
@@ -145,12 +142,11 @@ class EnergyTerm(DataTerm):
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each.
 
-        Reflections interfere, however finely one traces: the energy of a band of bandwidth B has
-        the variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies
-        spread by the filter and Q that of the squares of each single one. It may still fall on
-        either side of a window's edge where positions are a centimetre wrong. To this come
-        background noise, its beat with the signal, the trace's own Monte-Carlo noise and the error
-        of the model.
+        Reflections interfere: the energy of a band of bandwidth B has the variance ``1 / B`` times
+        the integral of P^2 - Q, where P is the sum of path energies spread by the filter and Q that
+        of the squares of each single one. It may fall on either side of a window's edge where
+        positions are a centimetre wrong. To this come background noise, its beat with the signal,
+        rays and the model's error.
         """
         gains = np.append(values["gain"], 1.0)
         paths = weighed(self, values["absorption"])

@@ -75,10 +75,7 @@ class ReducedRows:
     def sti(
         self, energies: FloatArray, values: FloatArray, speech_db: FloatArray | None
     ) -> FloatArray:
-        """Return the speech transmission index of such energies, (n_points,); NaN in other bands.
-
-        Shapes: `values` (n_points, n_names, n_bands), `speech_db` (2, 7).
-        """
+        """Return the speech transmission index of energies, (n_points,); NaN in other bands."""
         if sti_missing(self.bands):
             return np.full(len(energies), np.nan)
         at = speech_bands(self.bands)

@@ -177,15 +177,14 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
 def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatArray, ...]:
     """Return the covariance of the values of each pair about their prediction.
 
-    Five parts: the stated spread; reflections that interfere; in a box of smooth walls what their
-    pressures add up to beside their energies; the number of rays; and the error of the model, which
-    those read from the decay share, and those read from early against late.
+    By the stated spread; reflections that interfere; in a box of smooth walls what their pressures
+    add up to; the number of rays; and the error of the model, which values of a family share.
 
-    The energy of a band of bandwidth B scatters like white noise of the spectral density
-    ``(P^2 - Q) / B``, P the power spread by the filter and Q that of single reflections. Carried
-    through the derivatives of a value this is its variance to first order; for an exponential decay
-    the theory of J. L. Davy, I. P. Dunn, P. Dubout, Acustica 43, 12 (1979), on which ISO 354 and
-    ISO 3382-2 build.
+    The energy of a band of bandwidth B scatters like white noise of the spectral density ``(P^2 -
+    Q) / B``, P the power spread by the filter and Q that of single reflections. Carried through the
+    derivatives of a value this is its variance to first order; for an exponential decay the theory
+    of J. L. Davy, I. P. Dunn, P. Dubout, Acustica 43, 12 (1979), on which ISO 354 and ISO 3382-2
+    build.
     """
     covariances = []
     known = term._last.pop(absorption.tobytes(), None)
@@ -385,10 +384,7 @@ def predicted_values(
 def strengths_db(
     bands: Bands, edges_s: FloatArray, energies: FloatArray, direct_s: float
 ) -> FloatArray:
-    """Return the strength G of fine energies of a pair as of `predicted_values`, (1, n_bands).
-
-    Shapes: `edges_s` (n_bins + 1,), `energies` (n_bands, n_bins).
-    """
+    """Return the strength G of fine energies of a pair as of `predicted_values`, (1, n_bands)."""
     kept = energies.shape[1] // _BINS_AS_ONE
     edges_s = edges_s[: _BINS_AS_ONE * kept + 1 : _BINS_AS_ONE]
     joined = energies[:, : _BINS_AS_ONE * kept].reshape(len(bands), kept, _BINS_AS_ONE).sum(axis=2)

@@ -78,14 +78,7 @@ def _log_changes(traced: FloatArray, wanted: FloatArray) -> FloatArray:
 
 
 def effective_sample_size(factors: FloatArray) -> float:
-    """Return the number of paths of equal weight and equal variance, ``(sum f)**2 / sum f**2``.
-
-    Shapes: `factors` (n_paths,).
-
-    References
-    ----------
-    .. [1] L. Kish, "Survey Sampling", Wiley (1965).
-    """
+    """Return how many paths of equal weight tell as much (Kish, Survey Sampling, 1965)."""
     square = float(np.sum(np.square(factors)))
     return float(np.sum(factors)) ** 2 / square if square > 0.0 else 0.0
 
@@ -129,11 +122,10 @@ def sampling_groups(
 ) -> FloatArray:
     """Return the coefficients to trace with, so that no band loses too many rays to its weights.
 
-    As few groups of neighbouring bands as give every band an effective sample fraction of 0.2 after
-    so many hits, each traced with the mean of its bands, (n_groups, n_materials). Groups divide the
-    bands by equal shares of the distance ``2 asin(sqrt(s))`` that the coefficients go from band to
-    band: of paths with h hits, drawn with s0 and weighed for s, the fraction is near ``exp(-h
-    d**2)`` for coefficients at the distance d, whatever they are.
+    As few groups of neighbouring bands as give every band an effective sample fraction of 0.2, each
+    traced with the mean of its bands, (n_groups, n_materials). They divide the bands by equal
+    shares of the distance ``2 asin(sqrt(s))`` from band to band: of paths with h hits, drawn with
+    s0 and weighed for s at the distance d, the fraction is near ``exp(-h d**2)``.
 
     Shapes: `wanted` (n_materials, n_bands), `single` and `hits` (n_materials,).
     """
@@ -164,9 +156,8 @@ def effective_fractions(
 ) -> FloatArray:
     """Return the effective sample fraction that every band will have, shape (n_bands,).
 
-    ``(sum f)**2 / (n sum f**2)`` of the factors f of `scattering_weights` and n rays of all groups
-    together: one over the mean of f among paths that are drawn with the band's own scattering,
-    whose numbers of hits follow Poisson's distribution.
+    One over the mean of the factor of `scattering_weights` among paths that are drawn with the
+    band's own scattering, whose numbers of hits follow Poisson's distribution.
     """
     if len(groups) == 1:  # in closed form; drawn weights would be of few large ones
         room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]

@@ -517,12 +517,7 @@ def _weigh_points(
 
 
 def weigh_points(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
-    """Return the window energies under many absorptions of one band, (n_points, n_windows).
-
-    A pass over the rows serves all points, side by side in vectors: a tenth of `weigh`'s time each.
-
-    Shapes: `absorption` (n_points, n_materials).
-    """
+    """Return the energies under many absorptions (n_points, n_materials), (n_points, n_windows)."""
     powers = np.ones((len(rows.materials), rows.max_hits + 1, len(absorption)))
     powers[:, 1:] = np.cumprod(
         np.broadcast_to((1.0 - absorption.T)[:, None], powers[:, 1:].shape), axis=1
