@@ -158,30 +158,24 @@ def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | 
     """
     lines = []
     for share in _TAIL_SHARES:
-        levels = [x for m in measured if (x := _levels(m, share)) is not None]
-        if not levels:
+        files = [x for m in measured if (x := _levels(m, share)) is not None]
+        if not files:
             continue
-        rate_per_s = _least_squares(levels, ring_per_s)[0]
+        rate, sd, chi2, n_free = _least_squares(files, ring_per_s)
         # over the line of the noise, reverberation falls by what it falls faster
-        slower_per_s = float(np.clip(rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
-        line = _fitted(levels, ring_per_s - slower_per_s, ring_per_s)
+        slower_per_s = float(np.clip(rate, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        excess = [
+            f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
+            for f in files
+        ]
+        dispersion = max(chi2 / n_free, 1.0)
+        over_steady = 0.5 * (_steady_chi2(files, ring_per_s - slower_per_s) - chi2) / dispersion
+        sd *= float(np.sqrt(dispersion))
+        line = _Line(rate, sd, chi2, n_free, float(np.median(excess)), over_steady)
         if line.is_straight():
             return line
         lines.append(line)
     return min(lines, key=lambda line: line.chi2 / line.n_free, default=None)
-
-
-def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
-    """Return the weighted least-squares line, beside noise of another level after the sound."""
-    rate, sd, chi2, n_free = _least_squares(files, ring_per_s)
-    dispersion = max(chi2 / n_free, 1.0)
-    excess = [
-        f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
-        for f in files
-    ]
-    over_steady = 0.5 * (_steady_chi2(files, steady_per_s) - chi2) / dispersion
-    sd *= float(np.sqrt(dispersion))
-    return _Line(rate, sd, chi2, n_free, float(np.median(excess)), over_steady)
 
 
 def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:

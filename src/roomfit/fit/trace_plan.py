@@ -10,7 +10,6 @@ import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
-from roomfit.base.typing import FloatArray
 from roomfit.fit.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.model.scattering import effective_fractions, sampling_groups
@@ -84,9 +83,15 @@ def plan_trace(
     specified = [sampling_scattering(k) for k in priors]
     single = np.array([settings.default_scattering if s is None else s for s in specified])
     duration_s = traced_s(longest_decay_s, latest_window_s)
-    scattering, fraction = _sampled_scattering(scene, priors, single, duration_s, settings)
-    reach_m = speed_of_sound_m_s(scene.air) * duration_s
-    n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
+    reach_m, volume = speed_of_sound_m_s(scene.air) * duration_s, volume_m3(scene.room.mesh)
+    # the least fraction of rays that any band has 10 dB down
+    by_band = specified_scattering(priors, single, priors[0].prior_logit_mean.size)
+    hits = material_areas_m2(scene.room) * reach_m / (4.0 * volume)
+    rng = np.random.default_rng(settings.seed)
+    groups = sampling_groups(by_band, single, hits, rng)
+    fractions = effective_fractions(groups, by_band, _DECIDING_DB / _FOLLOWED_DB * hits, rng)
+    scattering = Scattering(scene.room.materials, groups[0] if len(groups) == 1 else groups)
+    n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume
     most_images = min(settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs))
     is_box, smooth = in_lattice(scene.room, settings), not np.any(scattering.coefficients)
     images_alone = is_box and smooth and n_images <= most_images
@@ -109,9 +114,8 @@ def plan_trace(
         findings = (scattering_assumed(names, settings.default_scattering),)
     if not images_alone:
         share = _OF_VALUES if by_values else _OF_THE_DATA
-        fineness, few = _with_rays(
-            scene, fineness, fraction, settings, share, beside_images=until_s > 0.0 and smooth
-        )
+        fraction, beside = float(fractions.min()), until_s > 0.0 and smooth
+        fineness, few = _with_rays(scene, fineness, fraction, settings, share, beside_images=beside)
         findings += few
     return TracePlan(fineness, scattering, findings)
 
@@ -144,24 +148,6 @@ def images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float
 def has_every_order(settings: TraceSettings) -> bool:
     """Return whether image sources of every order reach far enough to be added as pressures."""
     return settings.image_order >= _ANY_ORDER
-
-
-def _sampled_scattering(
-    scene: Scene,
-    priors: tuple[MaterialPrior, ...],
-    single: FloatArray,
-    duration_s: float,
-    settings: Settings,
-) -> tuple[Scattering, float]:
-    """Return the coefficients to trace with; and the least fraction of any band 10 dB down."""
-    by_band = specified_scattering(priors, single, priors[0].prior_logit_mean.size)
-    reach_m = speed_of_sound_m_s(scene.air) * duration_s
-    hits = material_areas_m2(scene.room) * reach_m / (4.0 * volume_m3(scene.room.mesh))
-    rng = np.random.default_rng(settings.seed)
-    groups = sampling_groups(by_band, single, hits, rng)
-    fractions = effective_fractions(groups, by_band, _DECIDING_DB / _FOLLOWED_DB * hits, rng)
-    sampled = groups[0] if len(groups) == 1 else groups
-    return Scattering(scene.room.materials, sampled), float(fractions.min())
 
 
 def _with_rays(
