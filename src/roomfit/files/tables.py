@@ -110,7 +110,7 @@ class BandRow(NamedTuple):
     where: str
     names: tuple[str, ...]
     values: FloatArray  # (n_bands,); nan: an empty cell
-    places: list[str]  # of each value, in messages
+    labels: list[str]  # of each value, in messages
 
 
 def band_rows(
@@ -149,16 +149,16 @@ def band_rows(
                 hint="decimal commas make two cells of one number: write a point, or semicolons",
             )
         of = " ".join(filter(None, (own[-1], *own[:-1])))
-        places = [f"{where}, column {i + 1} ({of} at {hz:g} Hz)" for i, hz in centres.items()]
+        labels = [f"{where}, column {i + 1} ({of} at {hz:g} Hz)" for i, hz in centres.items()]
         values = [
             number_in(
                 re.sub(f"{unit}$", "", cells[i]).rstrip(), place, "a number, or an empty cell"
             )
             if cells[i]
             else math.nan
-            for i, place in zip(centres, places, strict=True)
+            for i, place in zip(centres, labels, strict=True)
         ]
-        rows.append(BandRow(where, own, np.array(values), places))
+        rows.append(BandRow(where, own, np.array(values), labels))
     return np.array(list(centres.values())), rows
 
 

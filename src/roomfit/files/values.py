@@ -189,7 +189,7 @@ def _repeated(
         hint = "leave the line out, or begin it with #"
         check_known("unknown room parameter", bare, _PARAMETERS, where=row.where, else_try=hint)
         name, is_spread = _PARAMETERS[bare], bare != parameter
-        for value, place in zip(row.values.tolist(), row.places, strict=True):
+        for value, place in zip(row.values.tolist(), row.labels, strict=True):
             if not np.isnan(value) and not is_spread:
                 check_possible(name, value, place)
             elif value < 0.0:

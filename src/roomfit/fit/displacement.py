@@ -283,7 +283,7 @@ def _order_and_end_s(scene: Scene, settings: TraceSettings) -> tuple[int, float]
 def _early_windows(
     measured: Measurements, priors: tuple[MaterialPrior, ...], traced: TracedPaths, fits: BandFits
 ) -> list[_Band]:
-    """Return the bands in which early images can be told, the highest first.
+    """Return the bands in which early images can be distinguished, the highest first.
 
     None where responses or early images are too few, or walls too many to look images up on.
     """

@@ -199,8 +199,8 @@ def chosen_scattering(
         sd[own] = value
         if trial is not None:
             common = not is_fitted or best.size > _MAX_SEPARATE
-            told = progress if is_fitted else None
-            ways = choose_scattering(*trial, own, grid=grid, common=common, progress=told)
+            shown = progress if is_fitted else None
+            ways = choose_scattering(*trial, own, grid=grid, common=common, progress=shown)
             best, low, high = (x[own, 0] for x in ways)
             sd[own] = [_grid_sd(grid, *ends) for ends in zip(low, high, strict=True)]
             if not is_fitted and low[0] <= value <= high[0]:

@@ -49,6 +49,6 @@ def eyring_time_s(
 def schroeder_hz(decay_s: FloatArray, volume_m3: float) -> FloatArray:
     """Return the Schroeder frequency ``2000 (T / V) ** 0.5``; below it single modes are resolved.
 
-    M. R. Schroeder, J. Acoust. Soc. Am. 99, 3240 (1996).
+    M. R. Schroeder, J. Acoust. Soc. Am. 99, 3240-3241 (1996).
     """
     return np.asarray(2000.0 * np.sqrt(decay_s / volume_m3))
