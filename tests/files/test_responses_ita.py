@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -76,20 +75,6 @@ def test_what_is_no_single_response_in_time_is_refused_with_what_to_export(
         read_response(ResponseSpec(path))
     text = str(refused.value)
     assert all(part in text for part in ("a.ita", "found", "needed", "try"))
-
-
-def element(kind: int, data: bytes) -> bytes:
-    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
-
-
-def matrix(kind: int, shape: tuple[int, int], name: bytes, *rest: bytes) -> bytes:
-    head = element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack("<ii", *shape))
-    return element(14, b"".join([head, element(1, name), *rest]))
-
-
-def numbers(name: bytes, values: np.ndarray) -> bytes:
-    rows, columns = values.shape
-    return matrix(6, (rows, columns), name, element(9, values.astype("<f8").tobytes("F")))
 
 
 def test_fields_of_a_structure_that_matlab_itself_wrote_are_read():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -16,6 +17,11 @@ import pytest
 from roomfit.app import project
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Edit
+from roomfit.base.whole_files import (
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.files import edits
 from roomfit.files.edits import sole_editor
 
@@ -140,3 +146,31 @@ def test_a_remedy_and_a_step_back_are_refused_where_another_has_written(box: Pat
     with pytest.raises(InputError, match="nothing can be undone"):
         while_held(file, text, lambda: edits.undo(file))
     assert file.read_text() == text
+
+
+def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path):
+    target = tmp_path / "a.txt"
+    write_text_atomically(target, "old")
+    write_bytes_atomically(target, b"new")
+    assert target.read_text() == "new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_who_has_the_old_file_open_or_under_another_name_keeps_it(tmp_path):
+    path, other = tmp_path / "a.json", tmp_path / "b.json"
+    path.write_bytes(b"old content")
+    os.link(path, other)
+    with path.open("rb") as reader:
+        write_bytes_atomically(path, b"new")
+        assert reader.read() == b"old content"
+    assert other.read_bytes() == b"old content"
+    assert path.read_bytes() == b"new"
+
+
+def test_content_that_cannot_be_written_leaves_the_old_file(tmp_path):
+    target = tmp_path / "a.json"
+    write_json_atomically(target, {"x": 1})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json_atomically(target, {"x": float("nan")})
+    assert json.loads(target.read_text())["x"] == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]

@@ -17,23 +17,16 @@ from roomfit.files.schema import ResponseSpec
 from roomfit.signals.response import ImpulseResponse
 
 SOUND_SUFFIXES = (".wav", ".wave", ".flac", ".aif", ".aiff", ".aifc", ".w64")
+# By ending: the reader, and the keys that choose a part of the file.
 _READERS = {
-    **dict.fromkeys(SOUND_SUFFIXES, read_sound),
-    ".ita": read_ita,
-    ".mat": read_mat,
-    ".npy": read_npy,
-    ".sofa": read_sofa,
-    ".txt": read_rew,
+    **dict.fromkeys(SOUND_SUFFIXES, (read_sound, ("channel",))),
+    ".ita": (read_ita, ("channel",)),
+    ".mat": (read_mat, ("channel", "variable", "sampling_rate_variable")),
+    ".npy": (read_npy, ("channel",)),
+    ".sofa": (read_sofa, ("measurement", "receiver_index")),
+    ".txt": (read_rew, ()),
 }
 RESPONSE_SUFFIXES = tuple(_READERS)
-_KEYS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys((*SOUND_SUFFIXES, ".npy", ".ita"), ("channel",)),
-    ".mat": ("channel", "variable", "sampling_rate_variable"),
-    ".sofa": ("measurement", "receiver_index"),
-    ".txt": (),
-}
-_MOST = {".txt": "text_bytes"}
-_RECORDED = (*SOUND_SUFFIXES, ".mat", ".ita", ".npy")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
 
@@ -70,40 +63,40 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     kind = path.suffix.lower()
     if kind not in _READERS:
         what, hint = "unknown kind of response file", "export the response as WAV, 32-bit float"
-        needed = (
-            "a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt (REW)"
-        )
+        needed = f"a name that ends in one of {', '.join(_READERS)} (REW)"
         found = f"ending {path.suffix!r}"
         raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
+    read, keys = _READERS[kind]
     with located(str(path)):
-        _refuse_foreign_keys(spec, kind)
-    content = read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
+        _refuse_foreign_keys(spec, kind, keys)
+    most = "text_bytes" if kind == ".txt" else "file_bytes"
+    content = read_bytes(path, "response file", most=most)
     with located(str(path)):
-        recording = _READERS[kind](spec, content)
+        recording = read(spec, content)
         _check_clock(recording, spec)
     if spec.excitation is not None:
-        recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
+        is_recording = "channel" in keys
+        recording = deconvolved(recording, _excitation(spec, is_recording), path, spec.excitation)
     with located(str(path)):
         pressure, findings = checked(recording, path.name)
     time_zero_s = spec.latency_s - recording.delay_s
     return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
 
 
-def _excitation(spec: ResponseSpec, kind: str) -> Recording:
+def _excitation(spec: ResponseSpec, is_recording: bool) -> Recording:
     path = Path(spec.excitation or "")
-    played = path.suffix.lower()
-    if kind not in _RECORDED or played not in SOUND_SUFFIXES:
+    if not is_recording or path.suffix.lower() not in SOUND_SUFFIXES:
         what, where = "an excitation goes with a recording", str(spec.path)
-        found = f"a {kind} file with the excitation {path.name}"
+        found = f"{spec.path.name} with the excitation {path.name}"
         needed = "a recording as sound file, MAT, ITA or NPY, and an excitation as sound file"
         hint = "leave excitation out where the file is a response already"
         raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     content = read_bytes(path, "response file")
     with located(str(path)):
-        return _READERS[played](ResponseSpec(path, channel=spec.excitation_channel), content)
+        return read_sound(ResponseSpec(path, channel=spec.excitation_channel), content)
 
 
-def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
+def _refuse_foreign_keys(spec: ResponseSpec, kind: str, keys: tuple[str, ...]) -> None:
     """A key that this kind of file cannot obey would be silently lost."""
     if spec.excitation is None and spec.excitation_channel is not None:
         what = "a channel of an excitation without the excitation"
@@ -111,10 +104,12 @@ def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
         hint = "name the sweep as it was played, or leave the channel out"
         raise InputError(what, found=found, needed=needed, hint=hint)
     for key in _CHOICES:
-        if getattr(spec, key) is not None and key not in _KEYS[kind]:
+        if getattr(spec, key) is not None and key not in keys:
             what, found = "a key does not belong to this kind of file", f"{key} for a {kind} file"
-            needed = f"only {', '.join(_KEYS[kind]) or 'the path'}"
-            hint = "leave it out, or check the name of the file"
+            needed, hint = (
+                f"only {', '.join(keys) or 'the path'}",
+                "leave it out, or rename the file",
+            )
             raise InputError(what, found=found, needed=needed, hint=hint)
 
 
