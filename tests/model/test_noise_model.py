@@ -12,20 +12,17 @@ import pytest
 from scipy.sparse import csr_array
 
 from coherent_cases import END_S, small_term
-from rays_reference import tracing_variance
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
 from roomfit.model.energy import (
     EnergyTerm,
     Observation,
     late_shares,
-    model_variance,
     noise_and_model_variance,
     observation_variance,
     weighed,
 )
 from roomfit.model.problem import total
-from roomfit.model.weighing import EnergyRows, weigh
 from roomfit.signals.filters import (
     frequency_response,
     spreading_kernel,
@@ -83,22 +80,6 @@ def test_noise_scatters_as_filtered_white_noise_and_beats_with_the_signal():
         # a fixed stretch of noise is not quite flat: a tenth more
         tolerance = 0.2 if loudness == 0.0 else 0.3
         np.testing.assert_allclose(law, found.var(axis=0, ddof=1), rtol=tolerance)
-
-
-def test_the_error_of_the_model_is_a_share_of_what_is_expected_or_half_of_what_is_measured():
-    """A fifth of the larger; and a tenth of what may ring on from earlier windows."""
-    measured, signal = np.array([1.0, 1.0, 9.0]), np.array([2.0, 1.0, 2.0])
-    ringing = np.array([0.0, 1.0, 2.0])
-    found = total(model_variance(term(0.2, 0.1), measured, signal, ringing))
-    np.testing.assert_allclose(found, [0.16, 0.04 + 0.01, 0.81 + 0.04])
-    # and with noise: it is no part of what was measured
-    edges = 1e4 * np.array([0.0, 1.0, 2.0, 3.0])
-    noise = np.full(3, 5.0)
-    parts = noise_and_model_variance(term(0.2), observation(measured + noise, noise, edges), signal)
-    own = total(parts)
-    scattered = noise * (noise + 2.0 * signal) / (BANDWIDTH_HZ * 1e4)
-    np.testing.assert_allclose(own - scattered, [0.16, 0.04, 0.81], rtol=1e-9)
-    assert np.all(scattered < 1e-4)
 
 
 def test_energy_may_ring_on_into_later_windows_by_two_milliseconds():
@@ -169,36 +150,6 @@ def test_arrivals_of_random_phase_interfere_as_their_filtered_pulses_do():
     assert found == pytest.approx(expected, rel=0.2)
     # the gain is one of energies
     np.testing.assert_allclose(total(observation_variance(energies, 0, paths, 3.0)), 9.0 * one)
-
-
-def test_the_variance_by_rays_is_the_scatter_of_other_rays():
-    """Sixteen batches drawn anew 400 times: window energies scatter as their batches say.
-
-    A variance of 400 draws is known to 7 %; 25 % are four of them and that of the estimates.
-    """
-    energies, *_ = one_window_term()
-    observed, rng, n_batches = energies.observations[0], np.random.default_rng(7), 16
-    n_bins = observed.spreading.shape[1]
-    found, stated = [], []
-    for _ in range(400):
-        drawn = rng.random((n_batches, n_bins)) < 0.2
-        batch, bins = np.nonzero(drawn)
-        order = np.argsort(bins, kind="stable")
-        rows = EnergyRows(
-            ("walls",),
-            n_bins,
-            np.concatenate(([0], np.cumsum(np.bincount(bins, minlength=n_bins)))),
-            np.ones(bins.size),
-            np.zeros((bins.size, 1), dtype=np.uint16),
-            np.zeros(bins.size),
-            batch[order].astype(np.int32),
-            n_batches,
-        )
-        total = weigh(rows, np.zeros((1, 1)), np.zeros(1))[0]
-        found.append(observed.spreading @ total)
-        if len(stated) < 60:
-            stated.append(tracing_variance(rows, observed, np.zeros((1, 1))))
-    np.testing.assert_allclose(np.mean(stated, axis=0), np.var(found, axis=0, ddof=1), rtol=0.3)
 
 
 def test_a_single_arrival_interferes_with_nothing():

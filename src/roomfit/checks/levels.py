@@ -16,8 +16,6 @@ from roomfit.signals.response import find_onset, times_s
 # The reverberant level of a source varies by 1 to 2 dB over a room, the direct sound's more. Two
 # files say nothing of how alike others are: of 87 right rooms with loudspeakers 3 made 4 to 4.7 dB.
 _LEAST_STEP_DB, _LEAST_STEP_OF_TWO_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 5.0, 1.2, 2.0
-_LATE_S = 0.05
-_FEWEST_SIGNS = 3
 _DIRECT_S, _BEFORE_S = 1.5e-3, 0.3e-3
 _LIKENESS = 0.6  # of two direct sounds, whose sign it decides
 
@@ -98,7 +96,7 @@ def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
     """Return reverberant levels, the mean over the bands that all have by bandwidth, (n,)."""
     rows = []
     for m in group:
-        at_s = m.curve.onset_s + _LATE_S
+        at_s = m.curve.onset_s + 0.05
         left = np.array([np.interp(at_s, m.curve.time_s, row) for row in m.curve.energy_left])
         has_level = (left > 0.0) & (m.curve.usable_end_s > at_s)
         rows.append(10.0 * np.log10(np.where(has_level, left, np.nan)))
@@ -128,7 +126,7 @@ def check_polarity(evidence: Recorded) -> Iterator[Finding]:
         signs = np.where(np.abs(likeness) < _LIKENESS, 0.0, np.sign(likeness))
         n, odd = np.count_nonzero(signs), 1 if np.sum(signs) < 0 else -1
         minority = [group[i].measurement for i in np.flatnonzero(signs == odd)]
-        inverted += minority if n >= _FEWEST_SIGNS and 2 * len(minority) < n else []
+        inverted += minority if n >= 3 and 2 * len(minority) < n else []
     if inverted:
         who = files_in_words(inverted, len(measured))
         yield Finding(

@@ -49,7 +49,6 @@ _DIRECTIVITY_SD_DB = 1.0
 # Absorption at the few angles of these reflections differs from the mean over all angles: of one
 # measured absorber by .09 to .31 at 45 degrees (docs/decisions/0031-decay-and-reflections.md).
 _ANGLE_SD = 0.1
-_FEWEST = 2
 _SHOEBOX = ("west", "east", "south", "north", "floor", "ceiling")
 
 
@@ -213,7 +212,7 @@ def wall_returns(
         groups.setdefault((r.wall, r.material, r.band), []).append(r)
     out = []
     for key, own in groups.items():
-        if len(own) < _FEWEST:
+        if len(own) < 2:
             continue
         values, weight = np.array([r.returned for r in own]), np.array([r.sd**-2.0 for r in own])
         mean = float(values @ weight / weight.sum())

@@ -20,20 +20,16 @@ from roomfit.tracing.image_sources import trace_images
 _REACH_M, _STEP_M = 3.0, 0.02
 # A wall this near to its specified position counts as standing there.
 _TOLERANCE_M = 0.12
-_LEAST_WALL_SHARE = 0.03  # of the whole area
 # nearer than that, an "image" is the loudspeaker or the stand itself
 _CLEAR_OF_POSITIONS_M = 0.4
-_CLEAR_OF_DIRECT_S = 1e-3
 _MASK_S = 0.25e-3
 # Two computations of the same image's arrival differ by rounding alone.
 _SAME_S = 1e-8
-_FLAT_M = 1e-3
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
 # factor of 2 in eight responses (more in fewer, as a mean's deviation, and beyond half the reach)
 # more than the echo of the specified position or any other, and in most responses.
 _LEAST_SCORE, _LEAST_LEAD, _LEAST_FAR_LEAD, _LEAD_RESPONSES, _LEAST_SHARE = 1.5, 0.7, 1.0, 8, 0.7
 _LEAST_RESPONSES = 5
-_EXPLAINED_ORDER = 2
 # Hundreds of seats have echoes at every time, and to trace them takes minutes.
 _MAX_TRIANGLES = 2000
 _DISTANCES_M = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
@@ -121,7 +117,7 @@ def _all_echoes(
     size_m = float(np.linalg.norm(np.ptp(scene.room.mesh.vertices_m, axis=0)))
     duration_s = 3.0 * (size_m + 2.0 * _REACH_M) / c
     smooth = uniform_scattering(scene.room.materials, 0.0)
-    specified = trace_images(scene, _EXPLAINED_ORDER, duration_s, smooth)
+    specified = trace_images(scene, 2, duration_s, smooth)
     found = []
     for pair, response in responses:
         source, receiver = scene.pairs[pair]
@@ -146,11 +142,11 @@ def _large_walls(room: Room) -> list[_Wall]:
             continue
         normal = vectors[seed] / areas[seed]
         offset_m = float(corners[seed].mean(axis=0) @ normal)
-        flat = np.abs(corners @ normal - offset_m).max(axis=1) < _FLAT_M
+        flat = np.abs(corners @ normal - offset_m).max(axis=1) < 1e-3
         same = usable & flat & (vectors @ normal > 0.99 * areas)
         usable &= ~same
         usable[seed] = False
-        if areas[same].sum() >= _LEAST_WALL_SHARE * areas.sum():
+        if areas[same].sum() >= 0.03 * areas.sum():
             name = room.mesh.surfaces[room.mesh.triangle_surface[seed]].name
             x, y, z = areas[same] @ corners[same].mean(axis=1) / areas[same].sum()
             walls.append(_Wall(name, (float(x), float(y), float(z)), normal, offset_m))
@@ -174,7 +170,7 @@ def _prominences(wall: _Wall, moved_m: FloatArray, echoes: list[_Echoes], c: flo
     for echo, column in zip(echoes, found.T, strict=True):
         arrival_s = _arrivals_s(wall, moved_m, echo, c)
         at = np.searchsorted(echo.time_s, arrival_s)
-        resolved = (arrival_s - echo.direct_s >= _CLEAR_OF_DIRECT_S) & (at < echo.time_s.size)
+        resolved = (arrival_s - echo.direct_s >= 1e-3) & (at < echo.time_s.size)
         at = np.minimum(at, echo.time_s.size - 1)
         resolved &= is_specified | ~echo.explained[at]
         column[resolved] = echo.prominence[at[resolved]]

@@ -60,7 +60,6 @@ _LEAST_HZ = 400.0
 _ORDER, _MEAN_FREE_PATHS = 3, 8.0
 # Windows half as long as those of the fit: 18 cm of a path.
 _PERIODS, _FINE_S = 0.75, 0.05
-_FEWEST_RESPONSES = 4
 # A tree of beams for every geometry takes milliseconds only where walls are few.
 _MOST_TRIANGLES = 60
 # Of a box's lengths, where no standard deviation is specified.
@@ -296,7 +295,7 @@ def _early_windows(
     has_few_walls = len(mesh.triangles) <= _MOST_TRIANGLES or box_of(mesh) is not None
     n_fitted = sum(m.measurement.use == "fit" for m in measured.responses)
     order, end_s = _order_and_end_s(scene, traced.settings)
-    if n_fitted < _FEWEST_RESPONSES or not has_few_walls or order < 1:
+    if n_fitted < 4 or not has_few_walls or order < 1:
         return []
     moves = (paths.batch < 0) & (paths.length_m <= speed_of_sound_m_s(scene.air) * end_s)
     met = paths.hits_specular[moves] + paths.hits_diffuse[moves]

@@ -18,7 +18,6 @@ _TIMES_OTHERS = 4.0
 # still lie within it.
 LEAST_BY_ENERGIES = 3.0
 LEAST_BY_PRESSURES = 1.0
-_FEWEST = 3
 
 
 def file_misfits(
@@ -44,7 +43,7 @@ def outlier_files(
     """
     ratios: dict[MeasuredPair, list[float]] = {}
     for misfits in bands:
-        if len(misfits) < _FEWEST:
+        if len(misfits) < 3:
             continue
         middle = np.median(list(misfits.values()))
         for m, misfit in misfits.items():

@@ -54,7 +54,6 @@ _WITHIN_95 = 1.92
 # Coefficients are compared by energies with three windows counted as one, in place of 1.35: where
 # the model is wrong in a way that all windows share, likelihoods claim more than they know.
 _CAUTION = 0.45
-_MAX_SWEEPS = 2
 # More unknown coefficients than these get one value in common.
 _MAX_SEPARATE = 3
 # Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
@@ -70,7 +69,6 @@ TRIAL = 0.15
 # whether anything arrives between the image sources; higher still, sources are directional.
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
 _TRIAL_S = 0.2
-_KEPT_TRACES = 2
 # So many responses tell how walls scatter; of more, every second, third and so on is tried.
 _MOST_TRIED = 50
 
@@ -104,7 +102,7 @@ class Retracer:
             images = select(known, known.batch < 0)
         paths = trace(self._scene, self._settings, scattering, known_images=images).paths
         binned = bin_paths(self._scene, self._bands, paths, self._settings.duration_s)
-        self._traced = [*self._traced, (paths, binned)][-_KEPT_TRACES:]
+        self._traced = [*self._traced, (paths, binned)][-2:]
         return binned
 
 
@@ -124,7 +122,7 @@ def choose_scattering(
     """
     _LOG.info("choosing the scattering")
     values, unknown = np.array(sorted(set(grid))), np.flatnonzero(fitted)
-    sweeps = 0 if common else _MAX_SWEEPS
+    sweeps = 0 if common else 2
     n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0
     chosen = np.array(start, dtype=np.float64)
     lower, upper = chosen.copy(), chosen.copy()

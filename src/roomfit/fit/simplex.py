@@ -146,7 +146,6 @@ def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
 
 
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
-_LONG_EVERY = 5
 _EDGE = 0.1
 
 
@@ -186,7 +185,7 @@ def anneal(
     lowest: list[tuple[float, FloatArray]] = []  # met at each temperature
     for _ in range(levels):
         steps = rng.uniform(-step, step, (trials_per_unknown * n, n))
-        steps[::_LONG_EVERY] *= _LARGEST_STEP / step
+        steps[::5] *= _LARGEST_STEP / step
         best, accepted = (e, x), 0
         for own in steps:
             # at most half a box outside, folded back through the wall it left

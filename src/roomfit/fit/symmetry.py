@@ -23,8 +23,6 @@ from roomfit.tracing.states import parts_of
 # A wall counts as carried into another where it lies this close to it.
 TOLERANCE_M = 0.02
 _FEW_SAMPLES, _SAMPLES = (4, 40), 600
-_MAX_NORMALS = 40
-_MAX_SYMMETRIES = 48
 _SAME_DIRECTION = 1e-3
 # Samples next to the seam of two materials may fall on either.
 _WHOLE_SHARE = 0.98
@@ -81,7 +79,7 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
             found.append(Symmetry(matrix, centre_m, exchange))
             known.append(matrix)
     group, grew = list(found), bool(found)
-    while grew and len(group) < _MAX_SYMMETRIES:  # until products are no longer new
+    while grew and len(group) < 48:  # until products are no longer new
         grew = False
         for one in found:
             for other in list(group):
@@ -167,7 +165,7 @@ def _candidate_normals(room: Room) -> list[FloatArray]:
     order = np.argsort(-areas)
     for i in order[areas[order] > 0.0]:
         add(vectors[i] / areas[i])
-        if len(found) == _MAX_NORMALS:
+        if len(found) == 40:
             break
     for one, other in combinations(list(found), 2):
         for between in (one - other, one + other):

@@ -35,7 +35,6 @@ def amplitude_and_slope(
 
 # A measured directivity is interpolated once to a grid of directions so fine, and then linearly.
 _STEP_DEG = 2.5
-_NEIGHBOURS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +103,7 @@ def measured_directivity(
             needed="directions all around the loudspeaker",
             hint="add directions in the hole",
         )
-    neighbours = min(_NEIGHBOURS, len(points))
+    neighbours = min(16, len(points))
     # linear radial functions in space: as smooth as few directions permit, exact at each of them
     from scipy.interpolate import RBFInterpolator  # heavy, for measured directivities alone
 

@@ -51,7 +51,6 @@ from roomfit.signals.iso3382 import (
 
 # What is wrong about the decay, or about the early part, is wrong in all values read from it.
 _FAMILY = {"EDT_s": 0, "T20_s": 0, "T30_s": 0, "G_dB": 2}
-_EARLY_TO_LATE = 1
 
 
 MODEL_ERROR_JND = 0.3
@@ -291,7 +290,8 @@ def _model(term: ValuesTerm, observed: ValueObservation, predicted: FloatArray) 
         for name, m, p in zip(observed.names, observed.measured, predicted, strict=True)
     ]
     sd = term.model_error_jnd * np.array(units)
-    family = np.array([_FAMILY.get(name, _EARLY_TO_LATE) for name in observed.names])
+    # 1: read from early against late
+    family = np.array([_FAMILY.get(name, 1) for name in observed.names])
     return np.asarray(np.outer(sd, sd) * (family[:, None] == family[None, :]))
 
 

@@ -16,11 +16,8 @@ from roomfit.tracing.paths import Paths
 
 # What groups of bands are traced for; a trace of one group is kept where it has this much.
 WANTED_EFFECTIVE_FRACTION = 0.2
-_DRAWN_PATHS = 1000
 # Below it a few paths carry all the weight, and the trace is to be made again.
 LEAST_EFFECTIVE_FRACTION = 0.1
-_SLICES = 8
-_FEWEST_IN_SLICE = 32
 
 
 def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
@@ -107,7 +104,7 @@ def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
     the late part suffers first.
     """
     rays = np.flatnonzero(rows.batch >= 0)
-    n_slices = int(np.clip(len(rays) // _FEWEST_IN_SLICE, 1, _SLICES))
+    n_slices = int(np.clip(len(rays) // 32, 1, 8))
     shares = [
         effective_sample_size(weighed.weight_per_m2[part])
         / max(effective_sample_size(rows.weight_per_m2[part]), 1e-300)
@@ -163,7 +160,7 @@ def effective_fractions(
         room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]
         excess = np.square(wanted - groups[0][:, None]) / room
         return np.asarray(np.exp(-(hits @ excess)))
-    struck = rng.poisson(hits, (_DRAWN_PATHS, hits.size))
+    struck = rng.poisson(hits, (1000, hits.size))
     found = np.empty(wanted.shape[1])
     for band, s in enumerate(wanted.T):
         diffuse = rng.binomial(struck, s)
