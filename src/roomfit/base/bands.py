@@ -76,10 +76,9 @@ def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
     table = OCTAVES_HZ if kind == "octave" else THIRD_OCTAVES_HZ
     chosen = [f for f in table if from_hz <= f <= to_hz]
     if not chosen:
-        what = "no standard band lies in the requested range"
+        what, found = "no standard band lies in the requested range", f"{from_hz:g} to {to_hz:g} Hz"
         needed = f"a range that contains one of {', '.join(f'{f:g}' for f in table)} Hz"
-        hint = f"widen it, as {table[0]:g} to {table[-1]:g} Hz"
-        raise InputError(what, found=f"{from_hz:g} to {to_hz:g} Hz", needed=needed, hint=hint)
+        raise InputError(what, found=found, needed=needed, hint="widen it")
     return Bands(kind, np.array(chosen))
 
 

@@ -67,7 +67,7 @@ def directivity_score(
 ) -> DirectivityScore:
     """Return the evidence of a fitted band against each of its sources being omnidirectional.
 
-    Rao's score test (Proc. Camb. Phil. Soc. 44, 50 (1948)) gives the gain to second order. Where
+    Rao's score test (Proc. Camb. Phil. Soc. 44, 50-57 (1948)) gives the gain to second order. Where
     that is more than chance gives, b is fitted and likelihoods are compared. Gains are divided by
     the reduced chi-square where that is above 1.
     """

@@ -182,7 +182,7 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
     The energy of a band of bandwidth B scatters like white noise of the spectral density ``(P^2 -
     Q) / B``, P the power spread by the filter and Q that of single reflections. Carried through the
     derivatives of a value this is its variance to first order; for an exponential decay the theory
-    of J. L. Davy, I. P. Dunn, P. Dubout, Acustica 43, 12 (1979), on which ISO 354 and ISO 3382-2
+    of J. L. Davy, I. P. Dunn, P. Dubout, Acustica 43, 12-25 (1979), on which ISO 354 and ISO 3382-2
     build.
     """
     covariances = []
