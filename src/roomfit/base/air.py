@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -117,7 +118,7 @@ def pressure_decay_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
         return np.zeros(len(frequency_hz))
     f, pressure_pa = np.maximum(frequency_hz, _LOWEST_HZ), air.pressure_kpa * 1000.0
     of_air = iso9613_attenuation_db_per_m(f, air.temperature_c, air.humidity_percent, pressure_pa)
-    return np.asarray(of_air / (20.0 * np.log10(np.e)))
+    return np.asarray(of_air / (20.0 * np.log10(math.e)))
 
 
 def iso9613_attenuation_db_per_m(
