@@ -87,17 +87,14 @@ def outline_findings(
     echoes = _all_echoes(scene, responses, c)
     walls = _large_walls(scene.room)
     findings: list[Finding] = []
+
+    def is_reached(wall: _Wall, echo: _Echoes) -> bool:
+        """Whether the wall, where specified, reflects to the receiver, not behind a corner."""
+        arrival_s = _arrivals_s(wall, np.zeros(1), echo, c)
+        return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
+
     while walls:
-        # where specified, a wall reflects to a receiver; behind a corner it does not
-        here_s = [[_arrivals_s(wall, np.zeros(1), e, c) for e in echoes] for wall in walls]
-        reached = [
-            [
-                e
-                for e, t in zip(echoes, own, strict=True)
-                if np.any(np.abs(e.arrivals_s - t) < _SAME_S)
-            ]
-            for own in here_s
-        ]
+        reached = [[e for e in echoes if is_reached(wall, e)] for wall in walls]
         scans = [_scan(wall, of, c) for wall, of in zip(walls, reached, strict=True)]
         best = int(np.argmax([float(np.nanmax(s, initial=-np.inf)) for s in scans]))
         wall, scores = walls.pop(best), scans[best]
