@@ -358,7 +358,7 @@ def a10(seeds: int = 2) -> None:
         moved = hexahedron(shares + 0.01 * rng.normal(size=shares.shape) / size)
         # another order than the fit takes: all paths of twice the length
         model = wave_model(moved, f, tau_s * 1.4)
-        model = replace(model, tau_s=tau_s)
+        model = model._replace(tau_s=tau_s)
         walls = {
             m: locally_reacting(z, wavenumber_per_m(model, at_rest(model)))
             for m, z in zip(scene.room.materials, impedance_of_r0(true), strict=True)

@@ -141,7 +141,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
     assert not allowed(rules, [5])[5]
     with pytest.raises(InputError, match="leave no position"):
-        choose(known, found, replace(rules, most_sources=1), 25, "mean", rng=fresh())
+        choose(known, found, rules._replace(most_sources=1), 25, "mean", rng=fresh())
 
 
 # Positions.

@@ -110,7 +110,7 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
     longer = wave_model(
         scene(positions_m + 0.01 * rng.normal(size=positions_m.shape)), f, 1.4 * tau_s
     )
-    model = replace(longer, tau_s=tau_s)
+    model = longer._replace(tau_s=tau_s)
     r0 = true_r0(Observed(f, tau_s, np.ones((1, len(f)))), room.materials)
     p = predicted_pressure(model, r0, at_rest(model))
     answer = identify_impedance(

@@ -14,7 +14,6 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -66,8 +65,7 @@ class RoomTask(NamedTuple):
     refusal: str = ""  # why it could not
 
 
-@dataclass(frozen=True, slots=True)
-class RoomRow:
+class RoomRow(NamedTuple):
     """What the table says of a room."""
 
     name: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,8 +23,7 @@ _TRIES = 100  # of random designs, before so many pairs are said to be impossibl
 _LEAST_GAIN_INFORMATION = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PairInformation:
+class PairInformation(NamedTuple):
     """Fisher information of a measurement of each pair of source and receiver, by itself."""
 
     # (n_pairs, n_draws, n_bands, n + 1, n + 1): of the n unknowns and, last, the log of the gain
@@ -34,8 +32,7 @@ class PairInformation:
     gain: IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rules:
+class Rules(NamedTuple):
     """What may stand together in one design."""
 
     source: IntArray  # (n_pairs,), which source each pair has

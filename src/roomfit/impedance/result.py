@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -47,8 +47,7 @@ _COLUMNS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """A number of the measurement that was found, with its 95 % interval."""
 
     name: str  # such as "x of LS1" or "speed of sound"
@@ -103,8 +102,7 @@ class MaterialImpedance:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """Whether the walls may be used."""
 
     word: Literal["identified", "not identifiable", "does not fit"]
@@ -280,10 +278,10 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
             for m in result.materials
         },
         "nuisances": [
-            {k: v if isinstance(v, str) else float(v) for k, v in asdict(n).items()}
+            {k: v if isinstance(v, str) else float(v) for k, v in n._asdict().items()}
             for n in result.nuisances
         ],
-        "verdict": asdict(result.verdict),
+        "verdict": result.verdict._asdict(),
         "findings": [finding_content(f) for f in result.findings],
         "pairs": [
             {

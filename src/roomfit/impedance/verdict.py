@@ -126,7 +126,7 @@ def judged_result(
         frequency_hz=problem.observed.frequency_hz,
         tau_s=problem.observed.tau_s,
         materials=materials,
-        verdict=replace(verdict, weaker=bool(weaker)),
+        verdict=verdict._replace(weaker=bool(weaker)),
         findings=(*weaker, *doubts),
         nuisances=_found_nuisances(fit),
         chi2=reduced_chi2(fit),

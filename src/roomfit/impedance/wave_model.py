@@ -21,7 +21,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
@@ -229,8 +229,7 @@ class State(NamedTuple):
     speed: float  # relative change of the speed of sound
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WaveModel:
+class WaveModel(NamedTuple):
     """A scene's image sources at the frequencies of a measurement."""
 
     scene: Scene
@@ -256,9 +255,8 @@ def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveMode
 
 def at_frequencies(model: WaveModel, chosen: IntArray) -> WaveModel:
     """Return the model at some of its frequencies."""
-    return replace(
-        model, frequency_hz=model.frequency_hz[chosen], air_per_m=model.air_per_m[chosen]
-    )
+    f, air = model.frequency_hz[chosen], model.air_per_m[chosen]
+    return model._replace(frequency_hz=f, air_per_m=air)
 
 
 def at_rest(model: WaveModel) -> State:

@@ -6,11 +6,10 @@ Beside them a proof for every problem: how low its error can be, and where.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -103,9 +102,12 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         "table2_max_relative_error": largest_relative_error(result.table2),
         "grid_minima": {name: grid_minima(own).tolist() for name, own in result.grids.items()},
         "found_within": FOUND_WITHIN,
-        "searches": [asdict(own) for own in result.searches],
+        "searches": [own._asdict() for own in result.searches],
         "truth": {name: true_absorption(name).tolist() for name in SPECIFICATIONS},
-        "certified": {name: asdict(c) for name, c in result.certificates.items()},
+        "certified": {
+            name: {**own._asdict(), "clusters": [c._asdict() for c in own.clusters]}
+            for name, own in result.certificates.items()
+        },
     }
 
 
@@ -267,8 +269,7 @@ GRID = np.arange(21) / 20  # of absorptions, the paper's
 FINE_GRID = np.linspace(0.0, 1.0, 201)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CaseResponse:
+class CaseResponse(NamedTuple):
     """Energy responses of one case at the true absorption (Figures 2 and 3)."""
 
     name: str
@@ -279,8 +280,7 @@ class CaseResponse:
     windows: FloatArray  # (n_windows,), energy of each 5 ms window from the first reflection on
 
 
-@dataclass(frozen=True, slots=True)
-class Searches:
+class Searches(NamedTuple):
     """All searches of one problem by one method."""
 
     problem: str
@@ -290,8 +290,7 @@ class Searches:
     median_evaluations: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperResult:
+class PaperResult(NamedTuple):
     """The results of `roomfit paper`."""
 
     seeds: int

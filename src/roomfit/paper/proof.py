@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -44,8 +44,7 @@ _MARGIN = 1e-3
 _SHARES = (1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.25)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cluster:
+class Cluster(NamedTuple):
     """Boxes that touch each other, and the lowest error found in them."""
 
     lower: FloatArray  # (n,), absorption: the smallest box round all of them
@@ -55,8 +54,7 @@ class Cluster:
     unique: bool  # whether the error is proven convex all over the box: it has one minimum
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
+class Certificate(NamedTuple):
     """What was proven: no error anywhere is below `lower_bound`.
 
     Nor is any outside of the clusters within `delta` of `value`, the lowest found.
