@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,13 @@ from roomfit.pressures.state import State
 from roomfit.room.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solver import BandFit, fit_band
-from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, Refine, band_estimate
+from roomfit.uncertainty.gaussian import (
+    BandEstimate,
+    FittedBand,
+    Refine,
+    SharedErrors,
+    band_estimate,
+)
 from roomfit.uncertainty.intervals import with_both_intervals
 
 
@@ -100,17 +106,13 @@ def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
     if band is None or found is None:
         return None
     objective, energies = found.objective(band), band.coherent.energies
-    relative = _relative_errors(state, objective, found.fit, energies)
-    shared = shared_errors(objective, found.fit, _sources(state, b), relative)
     noise = np.concatenate([o.noise for o in energies.observations])
-    signal = found.fit.expected[: noise.size] - noise
-    shared["lost coherence"] = (signal * lost_coherence(band, found.fit))[:, None]
-    areas_m2 = material_areas_m2(state.scene.room)
-    effect = effect_on_answer(objective, found.fit, shared, areas_m2)
+    lost = (found.fit.expected[: noise.size] - noise) * lost_coherence(band, found.fit)
+    effect = _effect(state, b, objective, found.fit, energies, {"lost coherence": lost[:, None]})
     own = band_estimate(objective.parameters, found.fit, "coherent", effect)
     own = replace(own, window_decays_s=_window_decays_s(energies, found.fit))
-    lost = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
-    beaten = state.settings.model != "coherent" and lost >= UNDECIDED
+    ahead = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
+    beaten = state.settings.model != "coherent" and ahead >= UNDECIDED
     return FittedBand(own) if beaten else FittedBand(own, objective, found.fit, effect.steps)
 
 
@@ -120,7 +122,6 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
     None where the partly coherent model decides, or where there are no data.
     """
     state = fit.state
-    areas_m2 = material_areas_m2(state.scene.room)
     may_decide = state.settings.model != "coherent"
     wanted = [
         f is None or (may_decide and bool(x[1] - x[0] < UNDECIDED))
@@ -155,9 +156,7 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
             factor = variance_inflation(windows, files, outliers, n_data)
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=state.settings.max_rounds)
-        relative = _relative_errors(state, objective, own_fit, windows)
-        shared = shared_errors(objective, own_fit, _sources(state, number), relative)
-        effect = effect_on_answer(objective, own_fit, shared, areas_m2)
+        effect = _effect(state, number, objective, own_fit, windows, {})
         answer = band_estimate(objective.parameters, own_fit, "energy", effect)
         return FittedBand(answer, objective, own_fit, effect.steps)
 
@@ -179,18 +178,20 @@ def _window_decays_s(windows: EnergyTerm, fit: BandFit) -> dict[str, FloatArray]
     }
 
 
-def _relative_errors(
-    state: State, objective: Objective, fit: BandFit, windows: EnergyTerm
-) -> FloatArray:
+def _effect(
+    state: State,
+    b: int,
+    objective: Objective,
+    fit: BandFit,
+    windows: EnergyTerm,
+    more: Mapping[str, FloatArray],
+) -> SharedErrors:
+    """Return what errors that the windows of a band share do to its answer."""
     absorption = physical_values(objective.parameters, fit.vector)[0]["absorption"]
-    return relative_errors(
-        state.scene.air, state.bands, windows, state.paths, absorption, state.scattering
-    )
-
-
-def _sources(state: State, band: int) -> tuple[int, ...]:
-    """Return the source of each of a band's observations."""
-    return tuple(int(state.scene.pairs[m.pair][0]) for m in fitted_in_band(state.files, band))
+    of = state.scene.air, state.bands, windows, state.paths, absorption, state.scattering
+    sources = [int(state.scene.pairs[m.pair][0]) for m in fitted_in_band(state.files, b)]
+    shared = shared_errors(objective, fit, sources, relative_errors(*of)) | more
+    return effect_on_answer(objective, fit, shared, material_areas_m2(state.scene.room))
 
 
 def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
