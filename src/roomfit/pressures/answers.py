@@ -190,7 +190,7 @@ def _effect(
     absorption = physical_values(objective.parameters, fit.vector)[0]["absorption"]
     of = state.scene.air, state.bands, windows, state.paths, absorption, state.scattering
     sources = [int(state.scene.pairs[m.pair][0]) for m in fitted_in_band(state.files, b)]
-    shared = shared_errors(objective, fit, sources, relative_errors(*of)) | more
+    shared = {**shared_errors(objective, fit, sources, relative_errors(*of)), **more}
     return effect_on_answer(objective, fit, shared, material_areas_m2(state.scene.room))
 
 
