@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 Use = Literal["fit", "validate"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Compared:
+class Compared(NamedTuple):
     """One room-acoustic parameter of one pair in every band, measured and predicted."""
 
     measured: FloatArray  # (n_bands,), NaN where it cannot be determined
@@ -52,8 +51,7 @@ class Compared:
     jnd: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Decay:
+class Decay(NamedTuple):
     """Energy decay curves of one pair, for looking at."""
 
     time_s: FloatArray  # (n_times,), After emission

@@ -327,8 +327,7 @@ def score_band(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Weighed:
+class _Weighed(NamedTuple):
     """Data of a band predicted at one point, under the variances that they have there."""
 
     objective: Objective

@@ -514,7 +514,7 @@ def test_a_decay_that_is_too_long_names_the_absorption_that_would_shorten_it(ans
 def test_decay_curves_show_the_noise_and_the_range_that_was_evaluated(answer):
     levels = np.array([-38.0, -40.0, np.nan, -30.0, -41.0, -44.0])
     pair = answer.pairs[0]
-    pair = replace(pair, decay=replace(pair.decay, noise_db=levels))
+    pair = replace(pair, decay=pair.decay._replace(noise_db=levels))
     for axes, level in zip(decay_figure(answer, pair).axes, levels, strict=True):
         (shaded,) = axes.patches
         box = shaded.get_bbox()

@@ -10,11 +10,11 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from importlib import import_module
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,8 +38,7 @@ Value: TypeAlias = object
 """What may stand in a table: a `Cell`, a text, a number, a truth value, or None for an unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
+class Column(NamedTuple):
     """A column: its name, the unit included, and how its numbers are written."""
 
     name: str  # a line end begins another line of the heading in a terminal
@@ -65,7 +64,7 @@ class Table:
     def described(self) -> tuple[Column, ...]:
         """Return the columns with form and alignment."""
         given = [c if isinstance(c, Column) else Column(c, self.form) for c in self.columns]
-        return tuple(replace(c, align=c.align or "<>"[i > 0]) for i, c in enumerate(given))
+        return tuple(c._replace(align=c.align or "<>"[i > 0]) for i, c in enumerate(given))
 
     @property
     def names(self) -> tuple[str, ...]:

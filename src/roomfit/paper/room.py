@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -87,8 +87,7 @@ _STRETCH = {"paper": (1.0, 1.0, 1.0), "disproportionate": (3.0, 0.25, 1.0)}
 Shape = Literal["paper", "disproportionate"]
 
 
-@dataclass(frozen=True, slots=True)
-class Division:
+class Division(NamedTuple):
     """How the seven planes are divided into materials."""
 
     materials: tuple[str, ...]
@@ -173,8 +172,7 @@ def whole_windows_s(first_ms: int, step_ms: int) -> FloatArray:
     return count / 1e3
 
 
-@dataclass(frozen=True, slots=True)
-class Specification:
+class Specification(NamedTuple):
     """What makes a problem."""
 
     case: int  # pair of the scene, 0 to 2
@@ -184,7 +182,7 @@ class Specification:
     ill_defined: bool = False
 
 
-_EXTREME = replace(DIVISIONS[2], true_absorption=(0.01, 0.99))
+_EXTREME = DIVISIONS[2]._replace(true_absorption=(0.01, 0.99))
 SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(
     {
         "case1": Specification(0, DIVISIONS[2]),
