@@ -332,7 +332,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     files += [m.path for m in measured]
     files += [Path(m.excitation) for m in measured if m.excitation]
     files += [row.path for row in (*campaign.tables, *campaign.spectra)]
-    directivities = campaign.directivities.values()
+    directivities = [table.directivity for table in campaign.source_tables.values()]
     named = [t for t in directivities if isinstance(t, str) and t not in ("omni", "fit")]
     named += [t.file for t in directivities if isinstance(t, MeasuredDirectivity)]
     named += [t.directivity for t in campaign.loudspeakers.values() if t.directivity != "fit"]

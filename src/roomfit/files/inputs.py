@@ -74,10 +74,10 @@ def source_directivities(
 ) -> dict[str, Directivity | UnknownDirectivity]:
     """Return the directivity of every source that is not omnidirectional."""
     found = {}
-    for name, table in campaign.directivities.items():
-        if table != "omni":
+    for name, table in campaign.source_tables.items():
+        if table.directivity != "omni":
             with located(f"{campaign.path}, sources.{name}.directivity"):
-                found[name] = _directivity(campaign, table, bands)
+                found[name] = _directivity(campaign, table.directivity, bands)
     return found
 
 

@@ -695,11 +695,6 @@ class Campaign(Table):
         return _points(self.receiver_tables)
 
     @property
-    def directivities(self) -> dict[str, SourceDirectivity]:
-        """What is said of the directivity of each source."""
-        return {name: table.directivity for name, table in self.source_tables.items()}
-
-    @property
     def groups(self) -> tuple[PointGroup, ...]:
         """Positions with a common offset."""
         return tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in self.group_tables.items())

@@ -118,7 +118,7 @@ def _scene(campaign: Campaign, room: Room, measured: list[MeasurementTable]) -> 
     sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
     receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})
     for source in sources:
-        directivity = campaign.directivities.get(source.name, "omni")
+        directivity = campaign.source_tables[source.name].directivity
         if directivity != "omni":
             raise InputError(
                 "impedances need sources that radiate alike in all directions",
