@@ -298,7 +298,7 @@ def treat(progress: Progress, folder: Path, doubted: bool = False) -> str:
         project.best_result(folder),
         folder / project.TREATMENT_QUESTION,
         project.inside(folder, folder / project.TREATMENT),
-        doubted=doubted,
+        wanted=Wanted(doubted=doubted),
         overwrite=True,
         progress=progress,
     )
@@ -318,7 +318,7 @@ def listen(
         result,
         project.inside(folder, folder / project.LISTENED),
         changes,
-        doubted=doubted,
+        wanted=Wanted(doubted=doubted),
         dry=project.upload_place(folder, project.DRY, dry) if dry else None,
         overwrite=True,
         progress=progress,

@@ -76,6 +76,11 @@ def _carried_out(options: argparse.Namespace) -> int:
 
         read = {"absorption_file", "result", "first", "second"} & own.keys()
         own |= {name: EditedFile(own[name]) for name in read if own[name] is not None}
+    if "state" in own:
+        from roomfit.files.questions import Wanted
+
+        asked = own.keys() & {"pairs", "state", "grid_m", "doubted"}
+        own["wanted"] = Wanted(**{name: own.pop(name) for name in asked})
     try:
         function = getattr(import_module(f"roomfit.{module}"), name)
         with shown_progress(doing) if doing else nullcontext() as progress:

@@ -45,23 +45,22 @@ def check(
         return None, 0
     if room.suffix.lower() == ".toml" or room.is_dir():
         what = "a campaign itself specifies the unit and the axes of its room"
-        needed, hint = "neither of them beside a campaign", "write them under [room]"
-        _refuse(room, {"unit": unit, "up": up}, what, needed, hint)
+        _refuse(room, {"unit": unit, "up": up}, what, "write them under [room]")
         return None, _check(read_campaign(room), room, out, between_hz, **how)
     what = "a room by itself has no positions to draw, and no bands"
-    hint = "roomfit init --room ROOM makes one"
-    _refuse(room, {"out": out, "bands": between_hz}, what, "a campaign.toml", hint)
+    _refuse(room, {"out": out, "bands": between_hz}, what, "roomfit init --room ROOM makes one")
     found = check_room(RoomSpec(file=room, unit=unit, up=up))
     say(text(room_blocks(str(room), found)))
     return None, 0 if found.traceable else 2
 
 
-def _refuse(room: Path, options: dict[str, object], what: str, needed: str, hint: str) -> None:
+def _refuse(room: Path, options: dict[str, object], what: str, hint: str) -> None:
     """Refuse options that have no meaning for this kind of file."""
     for name, value in options.items():
         if value is not None:
-            hint = f"{hint}; or leave the option out"
-            raise InputError(what, where=str(room), found=f"--{name}", needed=needed, hint=hint)
+            kind = "room file" if room.suffix.lower() == ".toml" else "campaign.toml"
+            found, needed = f"--{name}", f"a {kind}, or no such option"
+            raise InputError(what, where=str(room), found=found, needed=needed, hint=hint)
 
 
 def _check(

@@ -8,7 +8,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
@@ -32,22 +32,20 @@ def init(
     recordings: str | None,
     positions: Path | None,
     decay_times: Path | None,
-    unit: str | None,
-    up: Literal["z", "y"] | None,
-    space: str | None,
     overwrite: bool,
+    **of_room: Any,
 ) -> str:
-    """Write a first campaign, and return what it holds and lacks."""
+    """Write a first campaign, and return what it holds and lacks; `of_room` are unit, up, space."""
     if room is not None and shoebox is not None:
         what = "two rooms for one campaign"
         hint = "leave --shoebox out where a file has the room"
         raise InputError(what, found="--room and --shoebox", needed="one of the two", hint=hint)
-    asked, because, spec = unit, "", None
-    if room is not None and unit is None and sys.stdin.isatty():
-        asked, because = _asked(room, space)
+    because, spec, given = "", None, dict(of_room)
+    if room is not None and given["unit"] is None and sys.stdin.isatty():
+        given["unit"], because = _asked(room, given["space"])
     if room is not None or shoebox is not None:
         lengths = shoebox and cast("tuple[float, float, float]", tuple(shoebox))
-        spec = RoomSpec(file=room, shoebox=lengths or None, unit=asked, up=up, space=space)
+        spec = RoomSpec(file=room, shoebox=lengths or None, **given)
     text = draft_to_folder(
         folder, spec, recordings, positions,
         decay_times=decay_times, because=because, overwrite=overwrite,
@@ -71,9 +69,9 @@ def init(
         idle = [name for name in read_positions(positions) if name not in points]
         lines += [f"positions that no recording names: {in_short(idle)}"] if idle else []
     box = None if shoebox is None else [f"{x:g}" for x in shoebox]
-    stated = {"room": room, "space": space, "shoebox": box, "recordings": recordings, "unit": unit}
+    stated = {"room": room, "shoebox": box, "recordings": recordings, **of_room}
     may_lack = positions is None and decay_times is None
-    lines += [x for x in [_missing(folder, may_lack, {**stated, "up": up})] if x]
+    lines += [x for x in [_missing(folder, may_lack, stated)] if x]
     verb = "check" if decay_times is None else "reverberation"
     return "\n".join([*lines, f"then: roomfit {verb} {shlex.quote(str(file))}"])
 

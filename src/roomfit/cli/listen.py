@@ -34,8 +34,7 @@ def listen_to_folder(
     out: Path,
     changes: Sequence[str] = (),
     *,
-    state: str = "",
-    doubted: bool = False,
+    wanted: Wanted | None = None,
     dry: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -45,13 +44,13 @@ def listen_to_folder(
     Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
     them, all scaled by one factor so that the loudest has a peak of half. `InsufficientDataError`
     where the result is seriously doubted in a band, which a sound cannot leave out, unless
-    `doubted`.
+    this is wanted.
     """
     own = [read_change(text) for text in changes]
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    wanted = Wanted("campaign", state, doubted=doubted)
+    wanted = (wanted or Wanted())._replace(pairs="campaign")
     question = question_of_pairs(campaign, found, own, wanted)
     known = question.known
     for doubt in known.findings:

@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
@@ -28,23 +29,20 @@ def measure(
     folder: Path | None,
     source: str | None,
     receiver: str | None,
-    seconds: float,
-    silence: float,
-    repetitions: int,
-    rate: float,
     device: str | None,
     output: str | None,
     again: bool,
     list: bool,  # noqa: A002 - the option's name
+    **planned: Any,
 ) -> tuple[str, int]:
-    """Measure a pair by the sound devices of this machine, or name these."""
+    """Measure a pair by the sound devices of this machine, or name these; see `SweepPlan`."""
     if list:
         return str(sounddevice().query_devices()) or "there is no sound device", 0
     if folder is None or source is None or receiver is None:
         what, found = "a measurement needs a folder and two names", shlex.join(sys.argv[1:])
         needed = "roomfit measure FOLDER --source S1 --receiver R1"
         raise InputError(what, found=found, needed=needed, hint="roomfit measure --help")
-    plan = SweepPlan(rate, seconds, silence, repetitions)
+    plan = SweepPlan(**planned)
     own = (int(x) if x is not None and x.isdecimal() else x for x in (device, output))
     card = SoundCard(sounddevice(), *own)
     say(f"playing and recording for {plan.length_s:.0f} s: keep still")

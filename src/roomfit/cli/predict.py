@@ -45,10 +45,7 @@ def predict_to_folder(
     out: Path,
     changes: Sequence[str] = (),
     *,
-    pairs: str = "all",
-    state: str = "",
-    grid_m: tuple[float, float] | None = None,
-    doubted: bool = False,
+    wanted: Wanted | None = None,
     overwrite: bool = False,
     png: bool = False,
     progress: Progress | None = None,
@@ -63,7 +60,7 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     found = None if absorption_file is None else read_result(absorption_file)
-    question = question_of(campaign, found, own, Wanted(pairs, state, grid_m, doubted))
+    question = question_of(campaign, found, own, wanted)
     check_disk_room(out, len(question.scene.pairs) // 3)
     with located(str(campaign_file)):
         predicted = predict(question, progress=part(progress, 0.0, 0.95))
@@ -73,7 +70,7 @@ def predict_to_folder(
 
         write_predicted(folder, predicted, files_read())
         write_text_atomically(folder / "predicted.html", page(shown))
-        if grid_m is not None:
+        if wanted is not None and wanted.grid_m is not None:
             drawings = grid_drawings(predicted, question.scene)
             records = grid_records(predicted, question.scene)
             write_text_atomically(folder / "grid.csv", csv_of(records))

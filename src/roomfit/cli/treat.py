@@ -45,9 +45,7 @@ def treat_to_folder(
     treatment_file: Path,
     out: Path,
     *,
-    pairs: str = "all",
-    state: str = "",
-    doubted: bool = False,
+    wanted: Wanted | None = None,
     overwrite: bool = False,
     png: bool = False,
     progress: Progress | None = None,
@@ -58,7 +56,6 @@ def treat_to_folder(
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
     found = None if absorption_file is None else read_result(absorption_file)
-    wanted = Wanted(pairs, state, doubted=doubted)
     question = question_of(campaign, found, covered, wanted)
     if question.field is not None and not campaign.has_room:
         what, found_here = "a treatment of a room without walls", "volume and surface alone"

@@ -250,17 +250,13 @@ def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[
     how = parameter(key)
     model, baseline = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
     words = say("error of predicted {symbol}, mean of {pairs}").format(
-        symbol=how.symbol, pairs=say(_the(tables.compared_words(answer)))
+        symbol=how.symbol, pairs=say(tables.compared_words(answer))
     )
     if np.isfinite(baseline):
         words += say("; by the mean of the others {baseline}").format(
             baseline=f"{number(baseline, how.error_decimals)} {how.error_unit}"
         )
     return (*figures, (f"{number(model, how.error_decimals)} {how.error_unit}", words))
-
-
-def _the(pairs: str) -> str:
-    return f"the {pairs}" if pairs.startswith("fitted") else pairs
 
 
 def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
@@ -272,7 +268,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
     words = say(
         "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays within "
         "the pale box of a band, one just noticeable difference about what was measured."
-    ).format(symbol=symbol, pairs=say(_the(tables.compared_words(answer))))
+    ).format(symbol=symbol, pairs=say(tables.compared_words(answer)))
     title = f"{symbol} over frequency, measured and predicted"
     series = Series(say("measured"), measured), Series(say("predicted"), predicted)
     of = answer.bands.centres_hz, series, symbol

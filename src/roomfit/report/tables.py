@@ -387,7 +387,7 @@ def decay_time_tables(answer: Result) -> tuple[Table, ...]:
         (name, *(known_or(Cell(number(t, 2)), "not determined") for t in times_s))
         for name, times_s in zip(("measured", "predicted"), both, strict=True)
     ]
-    caption = f"{symbol} in s, mean of the {compared_words(answer)}"
+    caption = f"{symbol} in s, mean of {compared_words(answer)}"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
 
 
@@ -399,7 +399,7 @@ def compared_pairs(answer: Result) -> list[ComparedPair]:
 def compared_words(answer: Result) -> str:
     """Return what `compared_pairs` are, in words."""
     kept = any(pair.use == "validate" for pair in answer.pairs)
-    return "measurements that were not fitted" if kept else "fitted measurements"
+    return "measurements that were not fitted" if kept else "the fitted measurements"
 
 
 def mean_decay_times(answer: Result) -> tuple[str, FloatArray, FloatArray] | None:
