@@ -74,9 +74,7 @@ def identify(
     directivities: Directivities | None = None,
     progress: Progress | None = None,
 ) -> Result:
-    """Return the absorption of every material of a measured room in every band.
-
-    The model is that of docs/how-it-works.md; its references stand with each part.
+    """Return the absorption of every material of a measured room (docs/how-it-works.md).
 
     Parameters
     ----------
@@ -85,8 +83,7 @@ def identify(
     measurements : sequence of Measurement or MeasuredValues
         Impulse responses, ISO 3382-1 values, or both.
     materials : sequence of MaterialPrior, optional
-        What is known of materials before the measurement, in these bands; a material of the room
-        that is not among them has the broad prior (`roomfit.material_prior`).
+        What is known before, in these bands; others have the broad `roomfit.material_prior`.
     bands : Bands, optional
         Octaves from 125 Hz to 4 kHz where left out.
     settings : Settings, optional
@@ -98,8 +95,7 @@ def identify(
     Raises
     ------
     InputError
-        A name, a position, a response or a prior is not as needed, or the method does not go with
-        the data.
+        A name, position, response or prior is not as needed, or does not go with the method.
     InsufficientDataError
         The data cannot be fitted at all.
 
@@ -119,10 +115,8 @@ def identify(
     began, progress = time.perf_counter(), in_this_process(progress)
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
-    check_groups(
-        {g.name: g.members for g in scene.groups},
-        [p.name for p in (*scene.sources, *scene.receivers)],
-    )
+    names = [p.name for p in (*scene.sources, *scene.receivers)]
+    check_groups({g.name: g.members for g in scene.groups}, names)
     _LOG.info("evaluating the measurements")
     given = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
     before = examine(BEFORE_THE_FIT, given)
