@@ -647,33 +647,33 @@ def position_findings(
     low, high = room.mesh.vertices_m.min(axis=0), room.mesh.vertices_m.max(axis=0)
     found: list[Finding] = []
 
-    def wrong(code: Code, what: str, at: FloatArray, seen: str, needed: str, hint: str) -> None:
+    def wrong(code: Code, what: str, at: FloatArray, measured: str, needed: str, hint: str) -> None:
         where = place(at)
         found.append(
-            fault(code, what, where=where, found=seen, needed=needed, hint=hint, points_m=[at])
+            fault(code, what, where=where, found=measured, needed=needed, hint=hint, points_m=[at])
         )
 
     for i, (kind, point) in enumerate(named):
         who = f"{kind} {point.name!r}"
         wall = room.mesh.surfaces[room.mesh.triangle_surface[triangle[i]]].name
         if distance[i] < NEAREST_WALL_M:
-            seen = f"{1e3 * distance[i]:.1f} mm from surface {wall!r}"
+            measured = f"{1e3 * distance[i]:.1f} mm from surface {wall!r}"
             needed = f"at least {1e3 * NEAREST_WALL_M:.0f} mm"
             what, hint = "stands in a wall", "correct its position: it stood in front of the wall"
-            wrong(Code.POSITION_IN_WALL, f"{who} {what}", point.position_m, seen, needed, hint)
+            wrong(Code.POSITION_IN_WALL, f"{who} {what}", point.position_m, measured, needed, hint)
         elif not inside[i]:
-            seen = f"{distance[i]:.3g} m from the nearest surface, {wall!r}"
+            measured = f"{distance[i]:.3g} m from the nearest surface, {wall!r}"
             reach = f"the room reaches from {place(low)} to {place(high)}"
             needed, what = f"a position within the walls; {reach}", "stands outside the room"
             hint = "check unit, up axis and origin of the room file against the positions"
-            wrong(Code.POSITION_OUTSIDE, f"{who} {what}", point.position_m, seen, needed, hint)
+            wrong(Code.POSITION_OUTSIDE, f"{who} {what}", point.position_m, measured, needed, hint)
     for source, receiver in product(sources, receivers):
         apart_m = float(np.linalg.norm(source.position_m - receiver.position_m))
         if apart_m < NEAREST_PAIR_M:
             what = f"source {source.name!r} stands where receiver {receiver.name!r} is"
-            seen, needed = f"{1e3 * apart_m:.1f} mm", f"at least {1e3 * NEAREST_PAIR_M:.0f} mm"
+            measured, needed = f"{1e3 * apart_m:.1f} mm", f"at least {1e3 * NEAREST_PAIR_M:.0f} mm"
             at, hint = source.position_m, "check the two positions"
-            wrong(Code.SOURCE_AT_RECEIVER, what, at, f"{seen} apart", needed, hint)
+            wrong(Code.SOURCE_AT_RECEIVER, what, at, f"{measured} apart", needed, hint)
     return (*_misread(room, points, inside), *found)
 
 
