@@ -100,6 +100,30 @@ def test_what_is_specified_of_a_material_is_checked(tmp_path, line, words):
         material_priors(campaign_from(tmp_path, text), ("carpet", "other"))
 
 
+NAMED = GOOD + (
+    '[products.p]\n[loudspeakers.l]\n[groups.g]\nmembers = ["*"]\nsd = 0.1\n'
+    '[[states]]\nname = "s"\nmaterials = {north = "m"}\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"carpet"\n', '"car\\u001bpet"\n'),
+        ("[sources.LS1]", '[sources."LS\\u00851"]'),
+        ("[receivers.MP1]", '[receivers."MP\\u202e1"]'),
+        ("[groups.g]", '[groups."\\t"]'),
+        ('name = "s"', 'name = "\\u2028"'),
+        ('north = "m"', 'north = "\\u007f"'),
+    ],
+)
+def test_names_with_control_characters_are_refused(tmp_path, old, new):
+    assert NAMED.count(old) == 1
+    with pytest.raises(InputError, match=r"has a control character(?s:.*)U\+") as refusal:
+        campaign_from(tmp_path, NAMED.replace(old, new))
+    assert str(refusal.value).isascii()
+
+
 @pytest.mark.parametrize("spelled", ["./a.wav", "../{folder}/a.wav", "{path}", "link.wav"])
 def test_one_file_by_two_spellings_is_one_file(tmp_path, spelled):
     (tmp_path / "a.wav").write_bytes(b"x")
@@ -134,6 +158,23 @@ def test_materials_of_a_product_have_the_prior_that_is_stated_once(tmp_path):
         np.testing.assert_array_equal(own.prior_logit_sd, carpet.prior_logit_sd)
     assert sampling_scattering(carpet) == pytest.approx(0.2)
     assert other.product is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("[products.panel]", "[products.panels]"), r"not defined(?s:.*)did you mean 'panels'"),
+        (("[products.panel]", ""), r"not defined(?s:.*)add \[products.panel\]"),
+        (("[products.panel]", "[products.panel]\nsd = 0.0"), r"products.panel.sd"),
+        (("[products.panel]", "[products.panel]\nspread = 0.3"), "unknown key"),
+        (("scattering = 0.2", "prior = {mean = 0.3, sd = 0.1}"), "prior of its own"),
+        (("scattering = 0.2", "bounds = [0.0, 0.5]"), "bounds of its own"),
+        (("scattering = 0.2", 'same_absorption_as = "wall"'), "same_absorption_as of its own"),
+    ],
+)
+def test_what_is_specified_of_a_product_is_checked(tmp_path, change, words):
+    with pytest.raises(InputError, match=words):
+        campaign_from(tmp_path, PANELS.replace(*change))
 
 
 @pytest.mark.parametrize(

@@ -233,6 +233,13 @@ def test_a_remedy_changes_its_keys_and_keeps_comments_and_order(tmp_path: Path) 
     assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_ends_of_lines_stay_and_the_last_one_may_be_missing(tmp_path: Path, end: str) -> None:
+    text = WRITTEN.rstrip("\n").replace("\n", end)
+    after = edited_text(text, [Edit(("identify",), "wall_delays", True)])
+    assert after == f"{text}{end}wall_delays = true{end}"
+
+
 def test_a_campaign_that_cannot_be_edited_key_by_key_is_refused_and_stays(tmp_path: Path) -> None:
     text = WRITTEN + "[materials]\nwalls = {scattering = 0.1}\n"
     edit = Edit(("materials", "walls"), "prior", "cork-tiles")
@@ -263,3 +270,11 @@ def test_a_remedy_can_be_undone_byte_by_byte_and_only_while_nobody_edits(tmp_pat
     with pytest.raises(InputError, match="nothing can be undone"):
         undo(tmp_path / "campaign.toml")
     assert file.read_text() == wanted.after + "# mine\n"
+
+
+def test_what_was_shown_is_not_written_over_what_somebody_else_has_written(tmp_path: Path) -> None:
+    wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
+    (tmp_path / "campaign.toml").write_text(WRITTEN + "# mine\n")
+    with pytest.raises(InputError, match="has changed since"):
+        apply(tmp_path / "campaign.toml", wanted)
+    assert (tmp_path / "campaign.toml").read_text() == WRITTEN + "# mine\n"

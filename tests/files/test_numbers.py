@@ -9,11 +9,13 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from number_limits import ELSEWHERE, limits, table
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.design.campaign import design_arguments
+from roomfit.design.candidates import Region, grid_positions
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments
 from roomfit.impedance.campaign import impedance_arguments
@@ -177,3 +179,23 @@ def test_every_number_has_limits_with_a_reason_and_they_are_documented() -> None
     text = DOCS.read_text(encoding="utf-8")
     missing = [row for row in table() if row not in text]
     assert not missing, "run python tests/helpers/number_limits.py:\n" + "\n".join(missing)
+
+
+@pytest.mark.parametrize(
+    ("table", "keys", "words"),
+    [
+        ("impedance", {"step_hz": 0.1, "to_hz": 20000}, r"199000(?s:.*)at most 5000"),
+        ("design", {"grid_m": 0.1, "wall_distance_m": 0.01}, r"at most 20000(?s:.*)wider spacing"),
+    ],
+)
+def test_grids_of_too_many_points_are_refused(folder: Path, table: str, keys, words: str) -> None:
+    content = deepcopy(GOOD) | {table: keys}
+    (folder / "grid.toml").write_text("\n".join(f"{k} = {toml(v)}" for k, v in content.items()))
+    campaign = read_campaign(folder / "grid.toml")
+    with pytest.raises(InputError, match=words):
+        if table == "impedance":
+            impedance_arguments(campaign)
+        else:
+            arguments = design_arguments(campaign)
+            region = Region(np.zeros(3), np.array([20.0, 20.0, 2.0]))
+            grid_positions(arguments["scene"].room, region, arguments["options"].grid_m)

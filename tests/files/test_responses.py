@@ -98,6 +98,13 @@ def test_a_column_of_an_npy_file_is_a_response(tmp_path, kind):
     assert alone.pressure.shape == (4000,)
 
 
+def test_an_npy_file_of_objects_is_never_unpickled(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="not an NPY file"):
+        read_response(ResponseSpec(path, sampling_rate_hz=RATE_HZ))
+
+
 def test_latency_is_the_time_of_emission_on_the_files_clock(tmp_path):
     path = write_wav(tmp_path / "a.wav", decay())
     response, _ = read_response(ResponseSpec(path, latency_s=0.0228))
@@ -187,6 +194,13 @@ def test_a_constant_offset_is_reported_and_subtracted(tmp_path):
     np.testing.assert_allclose(response.pressure, 0.5 * decay(), atol=1e-4)
     assert codes(findings) == [Code.DC_OFFSET]
     assert findings[0].evidence["offset"] == pytest.approx(0.01, rel=1e-2)
+
+
+def test_an_encoding_that_loses_the_decay_is_refused(tmp_path):
+    path = write_wav(tmp_path / "coarse.wav", decay(), "ULAW")
+    with pytest.raises(InputError, match="encoding") as caught:
+        read_response(ResponseSpec(path))
+    assert "ULAW" in str(caught.value)
 
 
 def test_a_key_that_the_file_cannot_obey_is_refused(tmp_path):

@@ -371,6 +371,16 @@ def test_the_unit_of_the_drawing_is_obeyed_and_can_be_overruled(tmp_path, unit, 
     assert volume_m3(overruled) == pytest.approx(60 * (scale / 100) ** 3, rel=1e-9)
 
 
+def test_a_drawing_without_a_unit_needs_one(tmp_path):
+    document, space = drawing(0)
+    as_faces(space)
+    path = saved(document, tmp_path)
+    with pytest.raises(InputError, match="unit of the room file"):
+        read_mesh(RoomSpec(file=path))
+    mesh, _ = read_mesh(RoomSpec(file=path, unit="m"))
+    assert volume_m3(mesh) == pytest.approx(60, rel=1e-12)
+
+
 def test_nested_rows_of_blocks_land_where_another_program_puts_them(tmp_path):
     """Corners compared with those of ezdxf's own explosion of the same drawing."""
     document, space = drawing()

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Code
-from roomfit.files.rooms import read_model, read_room
+from roomfit.files.draft import likely_units
+from roomfit.files.inputs import check_room
+from roomfit.files.rooms import read_mesh, read_model, read_room
 from roomfit.files.schema import RoomSpec
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import material_areas_m2
@@ -104,6 +106,29 @@ def test_a_collada_box_has_its_size_names_and_materials_in_any_unit_and_axes(tmp
     ]
 
 
+def test_the_unit_of_a_collada_file_is_the_one_it_states_unless_another_is_given(tmp_path):
+    file = written(tmp_path, "a.dae", collada_box(0.0254))
+    assert likely_units(file) == {"in": "by the format of the file"}
+    mesh, _ = read_mesh(RoomSpec(file=file, unit="cm"))
+    assert volume_m3(mesh) == pytest.approx(90.0 * (1.0 / 2.54) ** 3, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda b: b[: len(b) // 2], "cannot be read"),
+        (lambda _: b"\x00" * 100, "cannot be read"),
+        (lambda b: b.replace(b"instance_geometry", b"instance_gem"), "cannot be read"),
+        (lambda b: b.replace(b"<vcount>4", b"<ph>4"), "holes"),
+        (lambda b: b.replace(b"0 1 3 2", b"0 1 3 99"), "cannot be read"),
+    ],
+)  # fmt: skip
+def test_a_damaged_collada_file_is_refused(tmp_path, change, words):
+    file = written(tmp_path, "a.dae", change(collada_box()))
+    with pytest.raises(InputError, match=words):
+        read_model(RoomSpec(file=file))
+
+
 def test_entities_that_multiply_or_lead_elsewhere_bring_nothing(tmp_path):
     """The bomb of ten laughs ten deep, and a file of this machine as a name."""
     laughs = "".join(
@@ -119,6 +144,20 @@ def test_entities_that_multiply_or_lead_elsewhere_bring_nothing(tmp_path):
         except InputError:
             continue
         assert "secret" not in str([f.surface for f in model.faces])
+
+
+@pytest.mark.slow
+def test_any_damage_is_a_room_or_a_refusal(tmp_path):
+    """Thirty bytes turned at random, six times."""
+    rng, whole = np.random.default_rng(7), collada_box()
+    for _ in range(6):
+        altered = bytearray(whole)
+        for place in rng.integers(0, len(whole), 30):
+            altered[place] = rng.integers(0, 256)
+        try:
+            check_room(RoomSpec(file=written(tmp_path, "a.dae", bytes(altered))))
+        except RoomfitError:
+            continue
 
 
 # Building models.
@@ -253,3 +292,17 @@ def test_of_several_spaces_one_must_be_named(tmp_path):
     assert room.mesh.vertices_m[:, 0].min() == pytest.approx(16.0)
     with pytest.raises(InputError, match="only a building model and a scan"):
         read_model(RoomSpec(file=written(tmp_path, "a.dae", b"x"), space="room 1"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t[: len(t) // 3], "cannot be read"),
+        (lambda _: "no building" * 20, "cannot be read"),
+        (lambda t: t.replace("IFCSPACE(", "IFCSLAB("), "cannot be read"),
+    ],
+)
+def test_a_damaged_building_model_is_refused(tmp_path, change, words):
+    file = written(tmp_path, "a.ifc", change(ifc_house()).encode())
+    with pytest.raises(InputError, match=words):
+        read_model(RoomSpec(file=file))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, RoomfitError
 from roomfit.files.draft import likely_units
 from roomfit.files.rooms import read_model, read_room
 from roomfit.files.schema import RoomSpec
@@ -119,3 +119,17 @@ def test_a_mirrored_component_keeps_its_front(tmp_path):
 def test_a_damaged_model_is_refused(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         read_model(RoomSpec(file=written(tmp_path, change(model(tmp_path)))))
+
+
+@pytest.mark.slow
+def test_any_damage_of_a_model_is_a_room_or_a_refusal(tmp_path):
+    """Ten bytes turned at random behind the head, six times."""
+    rng, whole = np.random.default_rng(7), model(tmp_path)
+    for _ in range(6):
+        altered = bytearray(whole)
+        for place in rng.integers(len(whole) // 2, len(whole), 10):
+            altered[place] = rng.integers(0, 256)
+        try:
+            read_room(RoomSpec(file=written(tmp_path, bytes(altered))))
+        except RoomfitError:
+            continue

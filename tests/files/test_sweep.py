@@ -20,6 +20,7 @@ from roomfit.files.responses.sweep import (
     SweepPlan,
     excitation,
     response_from_recording,
+    response_name,
     sweep,
 )
 from roomfit.files.schema import ResponseSpec
@@ -168,6 +169,14 @@ def test_each_fault_of_a_chain_is_named_with_its_cause(name: str) -> None:
 def test_a_recording_of_no_use_is_refused(recorded: FloatArray, words: str) -> None:
     with pytest.raises(InputError, match=words):
         response_from_recording(PLAN, recorded)
+
+
+@pytest.mark.parametrize(
+    "names", [("", "R"), ("a_b", "R"), ("S", "../R"), (".S", "R"), ("S", "\n")]
+)
+def test_a_name_that_could_not_be_read_back_is_refused(names: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match="name"):
+        response_name(*names)
 
 
 # The command, by a device that is a convolution.

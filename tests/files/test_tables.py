@@ -52,6 +52,12 @@ def test_cells_keep_their_columns_and_the_first_sheet_is_the_one_that_is_shown_f
     assert read_positions(workbook(tmp_path, [["S2", 1, 2, 3]], before="new")) == {"S1": (9, 9, 9)}
 
 
+def test_decay_times_that_were_copied_from_a_spreadsheet_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "t30.csv"
+    file.write_text("place\t500 Hz\t1 kHz\nA\t1,3\t1,2\n")
+    assert read_decay_times(file)[0].tolist() == [[1.3, 1.2]]
+
+
 def _book(sheet: str, workbook_xml: str = "") -> bytes:
     main = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
     file = io.BytesIO()

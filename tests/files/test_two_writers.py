@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from roomfit.app import project
-from roomfit.base.errors import InputError
+from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.base.findings import Edit
 from roomfit.base.whole_files import (
     write_bytes_atomically,
@@ -77,6 +78,27 @@ def test_two_processes_that_write_many_times_lose_nothing(box: Path) -> None:
     rows = [(row["source"], row["receiver"], row["file"]) for row in content["measurements"]]
     assert len(rows) == 16
     assert set(rows) == {(f"S{r[0]}", r, f"recordings/S{r[0]}_{r}.wav") for r in wanted}
+    assert hidden(box) == []
+
+
+@POSIX
+def test_the_lock_of_a_killed_process_is_free(box: Path) -> None:
+    """And that of one which lives is waited for, and then refused."""
+    program = (
+        "import sys, time; from pathlib import Path; from roomfit.files.edits import sole_editor\n"
+        "with sole_editor(Path(sys.argv[1])):\n    print('in', flush=True); time.sleep(600)\n"
+    )
+    file = project.campaign_file(box)
+    other = started(program, file)
+    assert other.stdout is not None and other.stdout.readline() == "in\n"
+    refused = pytest.raises(FolderInUseError, match=r"another run is writing[^§]*campaign\.toml")
+    with refused, sole_editor(file, wait_s=0.1):
+        pass
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    other.stdout.close()
+    project.set_bands(box, 250.0, 1000.0)
+    assert project.bands(box) == (250.0, 1000.0)
     assert hidden(box) == []
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import roomfit
+from boxes_in_space import box_with_doors
 from roomfit.base.findings import Code
 from roomfit.demo.boxes import (
     SAMPLING_RATE_HZ,
@@ -20,7 +21,7 @@ from roomfit.demo.boxes import (
 )
 from roomfit.fit.displacement import LENGTH_SD_M, displaced, offsets_of
 from roomfit.materials.priors import unknown_material
-from roomfit.room.scene import PointGroup, Scene
+from roomfit.room.scene import PointGroup, Room, Scene
 from simulated_rooms.random_boxes import random_plan
 from simulated_rooms.scattering_box import diffuse_echogram, modulated_noise, specular_box
 
@@ -87,6 +88,21 @@ def test_all_positions_that_are_30_cm_off_are_named_with_direction_and_size():
     assert finding.evidence["metres"] == pytest.approx(-0.3, abs=0.1)
     assert "-x, towards west" in finding.sentence
     assert not result.identifiable.any()
+
+
+@pytest.mark.slow
+def test_positions_are_doubted_in_a_box_of_many_triangles_too():
+    """A panel in each wall, 108 triangles: images come from the lattice."""
+    plan = simulated(500)[0]
+    mesh = box_with_doors(plan.lengths_m, dict.fromkeys(range(6), (0.3, 0.6, 0.3, 0.6)))
+    assert len(mesh.triangles) > 60
+    own = [WALLS.index(s.name) if s.name in WALLS else int(s.name[5:]) for s in mesh.surfaces]
+    scene = specified(plan, shift_m=(0.3, 0.0, 0.0))
+    result = fitted(replace(scene, room=Room(mesh, plan.materials, np.array(own))), 500)
+    (finding,) = findings(result)
+    assert finding.evidence["what"] == "all positions"
+    assert finding.evidence["axis"] == "x"
+    assert finding.evidence["metres"] == pytest.approx(-0.3, abs=0.1)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 
 import roomfit
+from coherent_cases import END_S, MATERIALS, energy_term, small_geometry, small_scene
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.base.bands import bands_between
+from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.inputs import load_campaign
+from roomfit.files.results import read_result, write_result
 from roomfit.identify import identify
 from roomfit.materials.priors import (
     OBJECT_STEP_M,
@@ -22,10 +25,16 @@ from roomfit.materials.priors import (
     object_area_m2,
     object_prior,
 )
-from roomfit.model.binned import bin_paths, pair_energies
+from roomfit.model.binned import bin_paths, in_band, pair_energies
+from roomfit.model.parameters import Block, Parameters, start_vector
+from roomfit.model.problem import Objective
 from roomfit.predict.changes import read_change
 from roomfit.predict.predict import predict
 from roomfit.predict.question import Question
+from roomfit.pressures.bands import coherent_term
+from roomfit.pressures.data_term import with_coherence
+from roomfit.pressures.geometry import geometry_block, whole_covariance
+from roomfit.pressures.response import image_paths
 from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (
@@ -125,6 +134,57 @@ def test_energies_fall_by_the_area_wherever_sound_travels() -> None:
     np.testing.assert_allclose(found, expected, atol=nearest_m * area_m2 / (4.0 * volume))
 
 
+def objectives() -> list[Objective]:
+    """Return a box with people as energies and as partly coherent pressures."""
+    scene = small_scene()
+    scene = replace(scene, room=with_objects(scene.room, {"people": None}))
+    scattering = Scattering(scene.room.materials, np.zeros(4))
+    paths = trace_images(scene, 100, END_S, scattering)
+    bands = Bands("octave", np.array([250.0]))
+    binned = bin_paths(scene, bands, paths, END_S)
+    energies = energy_term(bands, scene, in_band(binned, 250.0))
+    three = small_geometry()
+    columns = np.column_stack([three.columns, np.full(2, three.sd.size)])
+    geometry = replace(
+        three,
+        labels=(*three.labels, "delay people"),
+        sd=np.append(three.sd, 0.0),
+        fitted=np.append(three.fitted, False),
+        columns=columns,
+    )
+    images = image_paths(paths, np.arange(2), 0.0)
+    pressures = coherent_term(bands, 0, energies, 0.0, images, binned, geometry)
+    # finite differences ask for more than single precision
+    pressures = replace(pressures, grid=replace(pressures.grid, real=np.float64))
+    pressures = with_coherence(pressures, whole_covariance(geometry))
+    upper = np.array([1.0, 1.0, 1.0, 0.05])
+    absorption = Block(
+        *("absorption", (*MATERIALS, "people"), "logit", np.array([0.2, 0.4, 0.1, 0.01])),
+        *(np.ones(4, dtype=np.bool_), np.full(4, -1.7), np.full(4, 1.5), np.zeros(4), upper),
+    )
+    gain = Block(
+        *("gain", ("S",), "log", np.array([2.0]), np.ones(1, dtype=np.bool_)),
+        *(np.zeros(1), np.full(1, np.inf), np.zeros(1), np.ones(1)),
+    )
+    return [
+        Objective(Parameters((absorption, gain)), (energies,)),
+        Objective(Parameters((absorption, gain, geometry_block(geometry))), (pressures,)),
+    ]
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["energies", "pressures"])
+def test_the_derivative_by_the_area_is_that_of_differences(number: int) -> None:
+    """Central differences of 1e-4 in the free number; the rest is their third derivative."""
+    objective = objectives()[number]
+    vector, step = start_vector(objective.parameters), 1e-4
+    way = np.eye(vector.size)[3]
+    ahead, behind = (objective.expected(vector + s * step * way) for s in (1.0, -1.0))
+    found = objective.predict(vector).jacobian[:, 3]
+    assert np.all(found < 0.0)
+    difference = (ahead - behind) / (2.0 * step)
+    np.testing.assert_allclose(found, difference, rtol=1e-5, atol=1e-6 * np.abs(found).max())
+
+
 def test_an_unknown_area_is_found_beside_known_walls() -> None:
     """Of 12 m2 in 82 m3, simulated by other code: within its interval and, one seed, 30 %.
 
@@ -135,6 +195,24 @@ def test_an_unknown_area_is_found_beside_known_walls() -> None:
     assert np.all((found.lower95_m2 < AREA_M2) & (found.upper95_m2 > AREA_M2))
     np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.3)
     assert found.identifiable.all()
+
+
+def test_a_result_file_keeps_objects_with_their_covariance(tmp_path) -> None:
+    """Absorption of the area, volume and covariance come back as they were."""
+    result = known_walls()
+    write_result(tmp_path, result, [])
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert list(content["materials"]) == list(TRUTH)
+    np.testing.assert_allclose(
+        content["objects"]["people"]["absorption_area_m2"], result.objects.area_m2[0]
+    )
+    read, own = read_result(tmp_path / "result.json"), absorption_posterior(result)
+    assert read.materials == own.materials == (*TRUTH, "people")
+    assert read.objects == pytest.approx(own.objects)
+    np.testing.assert_allclose(read.absorption, own.absorption, rtol=1e-9)
+    np.testing.assert_allclose(read.logit_covariance, own.logit_covariance, rtol=1e-9)
+    np.testing.assert_allclose(read.prior_logit_mean, own.prior_logit_mean, rtol=1e-9)
+    assert "people" not in (tmp_path / "absorption.csv").read_text()
 
 
 def test_a_prediction_without_people_decays_more_slowly_by_their_area() -> None:

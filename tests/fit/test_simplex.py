@@ -14,11 +14,80 @@ from roomfit.fit.simplex import (
     accepts,
     anneal,
     downhill_simplex,
+    moved_downhill,
     random_simplex,
     simplex_around,
 )
 
 VERTICES = np.array([[0.2, 0.2], [0.4, 0.2], [0.3, 0.5]])
+
+
+ERRORS = np.array([1.0, 2.0, 3.0])
+
+
+# the candidates of the first move, by (3), (4) and (5) on paper
+REFLECTED, EXPANDED = (0.3, -0.1), (0.3, -0.4)
+CONTRACTED, CONTRACTED_FROM_REFLECTED = (0.3, 0.35), (0.3, 0.05)
+
+
+def table(**errors: float) -> tuple[Callable[[FloatArray], float], list[str]]:
+    """Return an error function that knows the candidates by name, and the list of those asked."""
+    names = {
+        "reflected": REFLECTED,
+        "expanded": EXPANDED,
+        "contracted": CONTRACTED,
+        "contracted_from_reflected": CONTRACTED_FROM_REFLECTED,
+        "shrunk_second": (0.3, 0.2),
+        "shrunk_highest": (0.25, 0.35),
+        "shrunk_reflected": (0.25, 0.05),
+    }
+    asked: list[str] = []
+
+    def error(x: FloatArray) -> float:
+        name = next(n for n, point in names.items() if np.allclose(x, point, rtol=0, atol=1e-12))
+        asked.append(name)
+        return errors[name]
+
+    return error, asked
+
+
+def moved(**errors: float) -> tuple[FloatArray, list[str]]:
+    """Return the vertices after one move, lowest first, and what was evaluated."""
+    error, asked = table(**errors)
+    return moved_downhill(VERTICES, ERRORS, error)[0], asked
+
+
+def test_a_reflection_between_lowest_and_second_highest_is_taken_as_it_is() -> None:
+    """Equation (3) with alpha = 1."""
+    vertices, asked = moved(reflected=1.5)
+    np.testing.assert_allclose(vertices, [[0.2, 0.2], REFLECTED, [0.4, 0.2]], atol=1e-12)
+    assert asked == ["reflected"]
+
+
+@pytest.mark.parametrize(("expanded", "kept"), [(0.1, EXPANDED), (0.7, REFLECTED)])
+def test_nelder_and_mead_expand_where_the_reflection_is_the_best_so_far(
+    expanded: float, kept: tuple[float, float]
+) -> None:
+    """Equation (4) with gamma = 2; the better of the two points stays."""
+    vertices, asked = moved(reflected=0.5, expanded=expanded)
+    np.testing.assert_allclose(vertices[0], kept, atol=1e-12)
+    assert asked == ["reflected", "expanded"]
+
+
+def test_nelder_and_mead_contract_from_the_better_of_highest_and_reflected() -> None:
+    """A reflection that only beats the highest vertex takes its place before the contraction."""
+    inside, _ = moved(reflected=4.0, contracted=2.5)
+    np.testing.assert_allclose(inside[2], CONTRACTED, atol=1e-12)
+    outside, _ = moved(reflected=2.8, contracted_from_reflected=2.5)
+    np.testing.assert_allclose(outside[2], CONTRACTED_FROM_REFLECTED, atol=1e-12)
+
+
+def test_after_a_failed_contraction_the_simplex_halves_towards_its_lowest_vertex() -> None:
+    """The paper is silent here; Nelder and Mead (1965) shrink."""
+    after = {"contracted": 6.0, "shrunk_second": 1.2, "shrunk_highest": 1.4}
+    expected = [[0.2, 0.2], [0.3, 0.2], [0.25, 0.35]]
+    vertices, _ = moved(reflected=4.0, **after)
+    np.testing.assert_allclose(vertices, expected, atol=1e-12)
 
 
 def bowl(x: FloatArray) -> float:

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from roomfit.base.errors import InputError
+from roomfit.files.rooms import read_room
+from roomfit.files.schema import RoomSpec
 from small_campaign import run_command
 
 BOX = """usemtl plaster
@@ -51,3 +56,11 @@ def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path, monkeypatch,
     for what in ("faces without area", "surfaces without a material", "the mesh leaks"):
         assert what in listed
     assert "(1.667, 0.000, 3.000) m" in listed
+
+
+def test_a_room_with_a_leak_is_refused_with_the_other_faults_counted(tmp_path):
+    """What identify sees: the first fault as an error."""
+    text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n")
+
+    with pytest.raises(InputError, match=r"faces without area(.*\n)*.*1 more faults \(leak\)"):
+        read_room(RoomSpec(file=box_file(tmp_path, text), unit="m"))

@@ -111,6 +111,16 @@ def test_any_set_of_flipped_triangles_is_turned_back(flips):
     assert len(unmatched(edges_of(repaired))) == 0
 
 
+def test_a_room_that_is_wholly_inside_out_is_turned_and_said_to_be():
+    """Every normal points into the air."""
+    mesh = l_room()
+
+    repaired, findings = oriented(replace(mesh, triangles=mesh.triangles[:, ::-1]))
+
+    assert codes(findings) == [Code.INSIDE_OUT]
+    assert volume_m3(repaired) == pytest.approx(21.0, rel=1e-14)
+
+
 def test_a_pillar_in_the_air_takes_its_volume_away():
     """A closed unit cube hangs in the box: 60 - 1 m3, whichever way its normals point."""
     small = BOX / LENGTHS + [2.0, 1.5, 1.0]
@@ -153,6 +163,19 @@ def test_a_long_edge_beside_two_short_ones_is_closed():
     assert volume_m3(mesh) == pytest.approx(60.0, rel=1e-14)
 
 
+def test_corners_that_are_a_rounding_apart_are_one():
+    """Every face brings its own corners, each off by up to 20 micrometres."""
+    rng = np.random.default_rng(3)
+    vertices = np.concatenate([BOX[list(q)] + rng.uniform(-2e-5, 2e-5, (4, 3)) for q in QUADS])
+    faces = [Face(tuple(range(4 * i, 4 * i + 4)), WALL) for i in range(6)]
+
+    mesh, findings = build_mesh(vertices, faces)
+
+    assert len(mesh.vertices_m) == 8
+    assert not findings
+    assert examine(mesh)[0]
+
+
 def test_points_are_inside_a_rotated_box_where_their_coordinates_say_so():
     """2,000 random points, half of them outside."""
     rng = np.random.default_rng(7)
@@ -164,6 +187,14 @@ def test_points_are_inside_a_rotated_box_where_their_coordinates_say_so():
     expected = np.all((points > 0) & (points < LENGTHS), axis=1)
 
     np.testing.assert_array_equal(is_inside(mesh, points @ turn.T), expected)
+
+
+def test_the_notch_of_an_l_shaped_room_is_outside():
+    """The notch is 1 to 4 m in x and y, within the bounding box."""
+    points = np.array([[2.0, 2.0, 1.0], [0.5, 2.0, 1.0], [2.0, 0.5, 1.0]])
+
+    assert is_inside(l_room(), points).tolist() == [False, True, True]
+    assert is_inside(l_room(), interior_points(l_room(), 200, np.random.default_rng(1))).all()
 
 
 def test_distances_to_the_walls_of_a_box_are_those_of_its_planes():
@@ -225,6 +256,48 @@ def test_a_hole_is_an_error_and_a_pinhole_a_finding_with_its_place():
     assert "(1.600, 1.500, 3.000) m" in small[1].sentence
     # a hole of 0.01 m2, seen from the middle 1.5 m below, is 0.005 m3 of the divergence sum
     assert volume_m3(holed_box(0.1)) == pytest.approx(60.0 - 0.005, abs=1e-4)
+
+
+def test_a_face_without_area_is_a_fault_with_its_place():
+    """Two corners for three, and three on a line of which one belongs to nothing else."""
+    vertices = np.concatenate([BOX, [[1.0, 0.0, 0.0]]])
+    for corners in ((0, 0, 1), (0, 8, 1)):
+        bad = Face(corners, Surface("sliver", None, "glass"))
+        _, findings = build_mesh(vertices, [*box_faces(), bad])
+
+        assert codes(findings) == [Code.ZERO_AREA_FACE]
+        with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
+            refuse(findings)
+
+
+def test_repeated_and_back_to_back_faces_are_named():
+    """The ceiling once more in the same and once in the opposite direction."""
+    ceiling = box_faces()[5]
+    again = Face((5, 7, 6, 4), ceiling.surface)
+    reverse = Face(ceiling.corners[::-1], Surface("lining", None, "felt"))
+
+    mesh, repeated = build_mesh(BOX, [*box_faces(), again])
+    _, reversed_ = build_mesh(BOX, [*box_faces(), reverse])
+
+    assert codes(repeated) == [Code.REPEATED_FACE]
+    assert "'ceiling' near (2.500, 2.000, 3.000) m" in repeated[0].sentence
+    assert volume_m3(mesh) == pytest.approx(60.0, rel=1e-14)
+    assert codes(reversed_) == [Code.BACK_TO_BACK_FACES]
+
+
+def test_a_warped_polygon_is_a_finding_and_beyond_a_centimetre_a_fault():
+    """One corner of the ceiling lifted by 8 mm and by 80 mm is 2 and 20 mm off the plane."""
+    for lift, code, severity, said in (
+        (0.008, Code.WARPED_POLYGON, "info", "2.0 mm"),
+        (0.08, Code.POLYGON_NOT_PLANAR, "serious", "20 mm"),
+    ):
+        vertices = BOX.copy()
+        vertices[7, 2] += lift
+        flat = [f for f in box_faces() if f.surface.name in ("ceiling", "floor")]
+        _, findings = build_mesh(vertices, flat)
+
+        assert [(f.code, f.severity) for f in findings] == [(code, severity)]
+        assert said in findings[0].sentence
 
 
 def test_a_moebius_strip_has_one_side():

@@ -9,12 +9,13 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.room.mesh import SHOEBOX_SURFACES
+from roomfit.room.mesh import SHOEBOX_SURFACES, Mesh
 from roomfit.room.scene import (
     Point,
     axis_findings,
     distances_m,
     is_clear_of_walls,
+    material_areas,
     material_areas_m2,
     materials_of_surfaces,
     object_pairs,
@@ -114,6 +115,25 @@ def test_a_point_is_in_a_wall_within_a_centimetre_and_two_are_one_within_a_centi
         assert (not position_findings(room, pair[:1], pair[1:])) == clear
     where = np.array([[0.5, 2.0, 1.0], [0.49, 2.0, 1.0], [-1.0, 2.0, 1.0], [3.0, 2.5, 2.5]])
     assert is_clear_of_walls(room, where, 0.5).tolist() == [True, False, False, True]
+
+
+def bare_box() -> Mesh:
+    """Return the box, whose floor and south have no material, and a sheet counted twice."""
+    mesh = shoebox_room(LENGTHS_M, "plaster").mesh
+    own = {"floor": None, "south": "", "north": "sheet", "east": "wood"}
+    surfaces = tuple(
+        replace(s, file_material=own.get(s.name, "stone"), double_sided=s.name == "north")
+        for s in mesh.surfaces
+    )
+    return replace(mesh, surfaces=surfaces)
+
+
+def test_areas_of_materials_come_largest_first_and_those_of_sheets_twice():
+    """West 15, east 15, south and north 18, floor and ceiling 30 m2."""
+    found = material_areas(bare_box(), {"walls": "paint", "north": "curtain"})
+    assert list(found.items()) == [
+        ("paint", 48.0), ("curtain", 36.0), (None, 30.0), ("stone", 30.0),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("axes", "axis"), [((0, 1, 2), None), ((0, 2, 1), "y"), ((2, 1, 0), "x")])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +33,23 @@ def analysed(
     curve = decay_curve(bank, response, find_onset(response), keep_noise=keep_noise)
     check_decay_range(curve)
     return room_parameters(curve)
+
+
+def positions(folder: Path) -> dict[str, np.ndarray]:
+    with (folder / "positions.csv").open() as rows:
+        return {
+            row["name"]: np.array([float(row[axis]) for axis in ("x_m", "y_m", "z_m")])
+            for row in csv.DictReader(rows)
+        }
+
+
+def dechorate(real_data: Path, microphone: int) -> tuple[ImpulseResponse, float]:
+    """One response and the stated distance of its microphone."""
+    folder = real_data / "dechorate"
+    where = positions(folder)
+    response, findings = read_response(ResponseSpec(folder / f"S1_M{microphone}.wav"))
+    assert findings == ()
+    return response, float(np.linalg.norm(where["S1"] - where[f"M{microphone}"]))
 
 
 def test_the_sports_centre_has_its_published_reverberation_times(real_data):
@@ -69,6 +87,36 @@ def test_the_living_room_has_its_published_clarity(real_data):
     np.testing.assert_allclose(freed.of("C80_dB")[1:], published[1:], atol=0.52)
     t30 = np.array([0.274, 0.365, 0.303, 0.259, 0.227, 0.211, 0.204, 0.181])
     np.testing.assert_allclose(freed.of("T30_s"), t30, rtol=0.04)
+
+
+def test_the_mean_reverberation_time_of_the_acoustic_laboratory(real_data):
+    """T20 of dEchorate, mean of six: .29 .42 .56 .58 .55 .55 s as specified, within 6 %.
+
+    Stated as approximate; the six scatter by 9 % at 125 Hz and 3 to 6 % above.
+    """
+    reported = np.array([0.29, 0.42, 0.56, 0.58, 0.55, 0.55])
+    values = [analysed(dechorate(real_data, m)[0]).of("T20_s") for m in range(1, 7)]
+    np.testing.assert_allclose(np.mean(values, axis=0), reported, rtol=0.06)
+
+
+def test_the_seminar_room_has_its_measured_reverberation_times(real_data):
+    """BRAS CR2, LS1 to MP1: T20 and T30 within 5 % of the published ones, EDT within 9 %."""
+    folder = real_data / "bras_cr2"
+    response, findings = read_response(ResponseSpec(folder / "scene9_RIR_LS1_MP1_Dodecahedron.wav"))
+    assert findings == ()
+    found = analysed(response)
+    with (folder / "measured_LS1_per_pair_octave.csv").open() as rows:
+        published = {
+            row[2]: np.array(row[3:], dtype=float)
+            for row in csv.reader(rows)
+            if row[:2] == ["LS1", "MP1"]
+        }
+    np.testing.assert_allclose(found.of("T20_s"), published["T20"], rtol=0.05)
+    np.testing.assert_allclose(found.of("T30_s"), published["T30"], rtol=0.05)
+    np.testing.assert_allclose(found.of("EDT_s"), published["EDT"], rtol=0.09)
+    # published -2.31 dB at 500 Hz, pyrato -2.04, we -1.66: with a limit of 76, 80, 84 ms we find
+    # -1.95, -1.66, -1.33, so filters of other lengths disagree here
+    np.testing.assert_allclose(found.of("C80_dB"), published["C80"], atol=0.7)
 
 
 def test_air_attenuation_has_the_values_of_iso_9613(real_data):

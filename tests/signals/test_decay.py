@@ -14,6 +14,7 @@ from roomfit.signals.decay import (
     check_decay_range,
     decay_curve,
     echogram_decay_curve,
+    jnd_of,
     range_findings,
     reduced_alike,
     room_parameters,
@@ -103,6 +104,15 @@ def test_the_decay_just_above_the_noise_is_not_bent_by_it():
     assert np.mean(tails) == pytest.approx(1.0, abs=0.3)
 
 
+def test_zeros_appended_to_a_response_change_nothing():
+    """A file padded to a round length is not a file with a silent room at its end."""
+    response = tones(1.0)
+    longer = ImpulseResponse(np.pad(response.pressure, (0, 30_000)), RATE_HZ)
+    short, long = (room_parameters(decay_curve(OCTAVES, r, 0.0)) for r in (response, longer))
+    # the sample grid of the filter's transform differs: rounding and 1e-11 of ringing
+    np.testing.assert_allclose(long.values, short.values, rtol=1e-6)
+
+
 def test_sound_wrapped_to_the_end_of_the_file_is_not_taken_for_noise():
     """Circular deconvolution puts what comes before the direct sound to the end."""
     rng = np.random.default_rng(9)
@@ -151,6 +161,20 @@ def test_parameters_of_an_exponential_echogram_are_the_closed_forms(decay_s, ons
             assert found.of(name)[0] == pytest.approx(expected, abs=0.01)
         else:
             assert np.isnan(found.of(name)[0])
+
+
+def test_a_just_noticeable_difference_is_that_of_the_standard():
+    """ISO 3382-1:2009, table A.1; T20 and T30 as EDT, C50 as C80."""
+    for name in ("EDT_s", "T20_s", "T30_s"):
+        np.testing.assert_allclose(jnd_of(name, np.array([0.4, 2.0])), [0.02, 0.1])
+    for name, step in (
+        ("C50_dB", 1),
+        ("C80_dB", 1),
+        ("D50_percent", 5),
+        ("TS_ms", 10),
+        ("G_dB", 1),
+    ):
+        np.testing.assert_array_equal(jnd_of(name, np.array([0.4, 2.0])), [step, step])
 
 
 @pytest.mark.parametrize("end_s", [0.15, 0.4, 1.0])

@@ -9,6 +9,7 @@ import pytest
 
 from roomfit.base.bands import BandKind, Bands, bands_between
 from roomfit.signals.filters import (
+    energy_bandwidth_hz,
     energy_share,
     filter_pressure,
     frequency_response,
@@ -16,6 +17,7 @@ from roomfit.signals.filters import (
     spreading_matrix,
     spreading_slopes_per_s,
     statistical_bandwidth_hz,
+    window_energies,
 )
 from roomfit.signals.response import ImpulseResponse
 
@@ -93,6 +95,37 @@ def test_the_smearing_kernel_is_the_squared_filtered_impulse(kind):
         np.testing.assert_allclose(share, np.array(energy) / np.sum(p**2), atol=2e-2)
 
 
+@pytest.mark.slow
+def test_measured_and_predicted_window_energies_agree_on_average():
+    """Impulses of random sign through the first front end give the second one's sum.
+
+    With random signs the cross terms vanish on average. 250 draws of a decay of 200 impulses; the
+    mean of each window must lie within 5 of its own standard errors. With 5 bands x 7 windows and
+    normal errors the chance of a false alarm is 35 * 5.7e-7 = 2.0e-5.
+    """
+    rng, rate_hz = np.random.default_rng(2024), 0.5 * RATE_HZ
+    b = bank("octave", 125.0, 2000.0)
+    edges = np.array([-0.05, 0.004, 0.01, 0.02, 0.04, 0.08, 0.16, 0.4])
+    samples = np.sort(rng.choice(np.arange(50, 4800), 200, replace=False))
+    delays = samples / rate_hz
+    amplitude = np.exp(-delays / 0.05) * rng.uniform(0.2, 1.0, 200)
+
+    draws = []
+    for _ in range(250):
+        pressure = np.zeros(10_000)
+        pressure[samples] = amplitude * rng.choice([-1.0, 1.0], 200)
+        draws.append(window_energies(b, ImpulseResponse(pressure, rate_hz), edges))
+    measured = np.mean(draws, axis=0)
+    standard_error = np.std(draws, axis=0, ddof=1) / np.sqrt(len(draws))
+
+    kernel = spreading_kernel(b)
+    predicted = np.array(
+        [amplitude**2 @ energy_share(kernel, i, delays, edges) for i in range(len(b))]
+    )
+    # the midpoint rule of the test above allows 1e-3 of a window's energy besides
+    assert np.all(np.abs(measured - predicted) < 5.0 * standard_error + 1e-3 * predicted)
+
+
 def test_statistical_bandwidth_is_what_the_spread_of_noise_energy_shows():
     """The relative variance of band energy of white noise over T is 1 / (B T).
 
@@ -107,6 +140,15 @@ def test_statistical_bandwidth_is_what_the_spread_of_noise_energy_shows():
     relative_variance = energy.var(axis=1) / energy.mean(axis=1) ** 2
     np.testing.assert_allclose(
         relative_variance * statistical_bandwidth_hz(b) * block / rate_hz, 1.0, rtol=0.24
+    )
+
+
+def test_energy_bandwidth_is_half_the_energy_that_a_lone_sample_leaves_per_sampling_rate():
+    """A sample of height one has the two-sided spectral density one: Parseval."""
+    b = bank()
+    filtered = filter_pressure(b, lone_sample(200_001, 100_000))
+    np.testing.assert_allclose(
+        (filtered**2).sum(axis=1) * RATE_HZ, 2.0 * energy_bandwidth_hz(b), rtol=1e-6
     )
 
 

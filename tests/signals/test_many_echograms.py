@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.base.bands import bands_between
+from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.signals import iso3382
 from roomfit.signals.decay import echogram_decay_curve, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients, values_of_bins
+from roomfit.signals.speech import (
+    MODULATIONS_HZ,
+    SPEECH_BANDS_HZ,
+    speech_transmission,
+    sti_of_decay,
+)
 
 ONE_BAND = bands_between("octave", 1000, 1000)
 
@@ -67,6 +73,22 @@ def test_the_values_of_an_exponential_decay_are_those_of_its_closed_form(n_bins,
     # of a source that gives 1 W: 1 / (4 pi 100) at 10 m
     wanted_db = 10.0 * np.log10(np.array([3.0, 6.0]) * 400.0 * np.pi)
     np.testing.assert_allclose(of["G_dB"], wanted_db, atol=1e-9)
+
+
+def test_the_speech_transmission_behind_a_direct_sound_is_that_of_the_closed_form():
+    """Half of the energy at once, half in a decay of 1 s: both parts of the modulation add up.
+
+    The direct sound lies in the middle of the first 2 ms, which turns it by 0.1 at 12.5 Hz.
+    """
+    octaves = Bands("octave", np.array(SPEECH_BANDS_HZ))
+    time_s = np.concatenate(([0.0], np.arange(1, 401) * 0.002))
+    left = np.where(time_s > 0.0, 0.5 * np.exp(-np.log(1e6) * (time_s - 0.002)), 1.0)
+    levels_db = np.tile(10.0 * np.log10(left), (7, 1))
+    omega = 2.0 * np.pi * MODULATIONS_HZ
+    late = 0.5 * np.exp(-1j * omega * 0.002) / (1.0 + 1j * omega / np.log(1e6))
+    exact = np.tile(np.abs(0.5 * np.exp(-1j * omega * 0.001) + late), (7, 1))
+    wanted = float(speech_transmission(exact))
+    assert sti_of_decay(octaves, time_s, levels_db) == pytest.approx(wanted, abs=0.003)
 
 
 def values_of(**given: float) -> MeasuredValues:

@@ -83,6 +83,22 @@ def test_a_click_that_is_cut_off_steeply_is_found_early_by_what_it_rings(share, 
         assert np.median(early) == pytest.approx(2.7 / share, rel=0.05)
 
 
+def test_the_onset_moves_with_the_sound_and_not_with_the_noise():
+    """Noise 34 dB below the peak: the onset moves by less than half a sample."""
+    clean = find_onset(room(0.02))
+    for seed in range(20):
+        assert find_onset(room(0.02, noise=0.02, seed=seed)) == pytest.approx(
+            clean, abs=0.5 / RATE_HZ
+        )
+
+
+def test_loudness_offset_and_sign_do_not_move_the_onset():
+    response = room(0.02)
+    onset_s = find_onset(response)
+    for pressure in (1e-6 * response.pressure, -3.0 * response.pressure, response.pressure + 0.3):
+        assert find_onset(ImpulseResponse(pressure, RATE_HZ)) == pytest.approx(onset_s, abs=1e-6)
+
+
 def test_time_zero_is_set_so_that_the_direct_sound_arrives_on_time():
     moved = time_zero_from_direct(room(0.05), travel_s=0.0123)
     assert find_onset(moved) == pytest.approx(0.0123, abs=1e-12)

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.base.bands import Bands
-from roomfit.signals.decay import echogram_decay_curve
+from roomfit.signals.decay import decay_curve, echogram_decay_curve
+from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.signals.speech import (
     MODULATIONS_HZ,
     SPEECH_BANDS_HZ,
@@ -167,3 +168,19 @@ def test_the_index_is_that_of_the_standard_written_out_band_by_band(of_all_db):
     wanted -= sum(b * (x * y) ** 0.5 for b, x, y in zip(BETA, mti, mti[1:], strict=False))
     found = float(speech_transmission(m, np.stack([speech, noise])))
     assert found == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_pyrato_finds_nearly_the_same_of_measured_responses(real_data):
+    """R3VIVAL's first ring in two states, noise in pyrato's: within a third of a jnd."""
+    pyrato, pyfar = pytest.importorskip("pyrato.parameters"), pytest.importorskip("pyfar")
+    soundfile = pytest.importorskip("soundfile")
+    for name in ("000_S000_200", "000_S120_200", "100_S000_200", "100_S240_200"):
+        samples, rate_hz = soundfile.read(real_data / "r3vival" / f"{name}.wav")
+        response = ImpulseResponse(samples[:, 0], rate_hz)
+        curve = decay_curve(OCTAVES, response, find_onset(response))
+        found = float(speech_transmission(modulation_transfer(curve)))
+        # pyrato asks for 1.6 s
+        padded = pyfar.Signal(np.pad(samples[:, 0], (0, rate_hz)), rate_hz)
+        theirs = pyrato.speech_transmission_index_indirect(padded)
+        assert found == pytest.approx(float(theirs[0]), abs=0.01), name
