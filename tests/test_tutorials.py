@@ -48,6 +48,12 @@ def missing(said: str, printed: str) -> list[str]:
     return lost
 
 
+def test_a_line_that_is_not_printed_or_not_in_this_order_is_missed():
+    assert missing("a  b\n...\nc\n", "a b\nx\nc\n") == []
+    assert missing("c\na b\n", "a b\nc\n") == ["a b"]
+    assert missing("a 0.25\n", "a 0.26\n") == ["a 0.25"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_a_tutorial_prints_what_its_page_says(path, tmp_path):
@@ -68,3 +74,9 @@ def test_a_number_in_the_words_of_a_tutorial_stands_in_its_blocks(path):
     words = re.sub(r"`[^`]*`", "", BLOCK.sub("", page))
     figures = set(re.findall(r"\d+\.\d+", words))
     assert figures <= set(re.findall(r"\d+\.\d+", blocks))
+
+
+def test_there_are_three_walks():
+    assert {p.stem for p in PAGES} == {
+        f"tutorial-{who}" for who in ("consultant", "hall-owner", "researcher")
+    }

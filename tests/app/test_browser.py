@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -260,6 +261,48 @@ def test_what_if_shows_speech_limits_sounds_and_what_to_hang(
     visit.context.close()
 
 
+def test_the_full_answer_is_cancelled_begun_anew_and_outlives_its_page(
+    browser: Any, demo: Path, tmp_path: Path
+) -> None:
+    from roomfit.app import project
+
+    folder = tmp_path / "project"
+    shutil.copytree(demo, folder)
+    project.set_bands(folder, 1000.0, 1000.0)
+    files = sorted(p.name for p in folder.iterdir())
+    with running(folder) as server:
+        visit = Visit(browser, server, 1400, "light")
+        page = visit.page
+        visit.tab("Identify")
+        page.get_by_role("button", name="Full answer only").click()
+        cancel = page.get_by_role("button", name="Cancel")
+        cancel.focus()
+        page.get_by_text(re.compile(r"Full answer: .*, [1-9]\d* %")).wait_for(timeout=_MINUTES_MS)
+        # the progress that is shown every second leaves the button where it is
+        assert page.evaluate("document.activeElement.textContent") == "Cancel"
+        began = time.monotonic()
+        cancel.press("Enter")
+        cancel.wait_for(state="detached")
+        # two seconds, and the page looks twice a second
+        assert time.monotonic() - began < 3.0
+        # nothing half-written; what was traced may be kept to begin from
+        left = [p for p in folder.iterdir() if p.name not in files]
+        assert not (folder / "result" / "result.json").exists(), left
+        page.get_by_role("button", name="Full answer only").click()
+        page.get_by_text(re.compile("Full answer: ")).wait_for()
+        visit.context.close()  # nobody looks on
+        again = Visit(browser, server, 390, "dark")
+        again.tab("Identify")
+        again.page.get_by_role("button", name="Cancel").wait_for()
+        again.page.reload()
+        again.tab("Identify")
+        again.page.get_by_text("Absorption: full answer").wait_for(timeout=_MINUTES_MS)
+        report = again.page.frame_locator("iframe")
+        report.get_by_text("Provenance").first.wait_for()
+        assert visit.errors == [] and again.errors == []
+        again.context.close()
+
+
 def test_from_a_typed_box_and_dropped_files(browser: Any, demo: Path, tmp_path: Path) -> None:
     from playwright.sync_api import expect
 
@@ -311,6 +354,54 @@ def test_from_a_typed_box_and_dropped_files(browser: Any, demo: Path, tmp_path: 
         page.get_by_text("T20 is not evaluated there").first.wait_for()
         # the browser itself tells of the answer 400
         assert not visit.foreign and not [e for e in visit.errors if "400 (Bad Request)" not in e]
+        visit.context.close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])
+def test_a_remedy_is_shown_applied_and_undone_by_the_keyboard(
+    browser: Any, demo: Path, tmp_path: Path, width: int, scheme: str
+) -> None:
+    """A recording that was made softer; it can be read, and nothing is wider than the page."""
+    import soundfile
+
+    folder = tmp_path / "project"
+    shutil.copytree(demo, folder)
+    samples, rate_hz = soundfile.read(folder / "LS1_MP3.wav")
+    soundfile.write(folder / "LS1_MP3.wav", 0.2 * samples, rate_hz, subtype="FLOAT")
+    file = folder / "campaign.toml"
+    before = file.read_text()
+
+    with running(folder) as server:
+        visit = Visit(browser, server, width, scheme)
+        page = visit.page
+        visit.tab("Measurements")
+        remedy = page.get_by_role("button", name='Set level = "per-file" for LS1_MP3.wav')
+        remedy.wait_for()
+        visit.is_readable()
+        remedy.press("Enter")
+        shown = page.get_by_role("dialog", name="What is written")
+        shown.get_by_text("[[measurements]], no. 3").wait_for()
+        assert shown.get_by_text("not stated").count() == 1
+        visit.is_readable()
+        page.keyboard.press("Escape")
+        shown.wait_for(state="detached")
+        assert file.read_text() == before
+        remedy.press("Enter")
+        apply = shown.get_by_role("button", name="Apply")
+        apply.wait_for()
+        page.wait_for_function("() => document.activeElement.textContent === 'Apply'")
+        page.keyboard.press("Enter")
+        undo = page.get_by_role("button", name="Undo the last remedy")
+        undo.wait_for()
+        remedy.wait_for(state="detached")
+        row = 'file = "LS1_MP3.wav"\n'
+        assert file.read_text() == before.replace(row, row + 'level = "per-file"\n')
+        page.reload()
+        visit.tab("Measurements")
+        undo.press("Enter")
+        remedy.wait_for()
+        assert file.read_text() == before
+        assert visit.foreign == [] and visit.errors == []
         visit.context.close()
 
 
@@ -413,6 +504,17 @@ _LOOP = """([room, hiss]) => {
     return end.stream;
   };
 }"""
+_ORDERS = """() => {
+  const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
+  navigator.mediaDevices.getUserMedia = async (constraints) => {
+    const { audio } = constraints;
+    if (window.disobey) Object.keys(window.disobey).forEach((key) => delete audio[key]);
+    const stream = await ask({ audio: { ...audio, ...window.disobey } });
+    if (window.silent) stream.getAudioTracks()[0].getSettings = () => ({ sampleRate: 8000 });
+    window.obeyed = stream.getAudioTracks()[0].getSettings();
+    return stream;
+  };
+}"""
 
 
 def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
@@ -476,6 +578,42 @@ def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
     assert row["file"] == "recordings/LS2_R1.wav" and "LS2 to R1" in view["table"]
     # the delay of the devices is no fault of the recording
     assert not [f for f in view["findings"] if "direct sound" in f["sentence"]]
+
+
+def test_a_browser_that_changes_the_sound_is_refused_and_one_that_does_not_is_believed(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Chromium itself obeys; it is made to leave on what the page asks to be off."""
+    with running(tmp_path) as server:
+        visit = Visit(browser, server, 1400, "light")
+        page = visit.page
+        page.evaluate(_ORDERS)
+        visit.tab("Measure")
+        button = page.get_by_role("button", name=re.compile("the microphone"))
+        button.click()
+        page.locator("meter").wait_for()
+        obeyed = page.evaluate("window.obeyed")
+        words = {"echoCancellation": "echo cancelling", "autoGainControl": "automatic gain"}
+        words["noiseSuppression"] = "noise suppression"
+        assert [obeyed[key] for key in words] == [False] * 3
+        assert page.locator(".finding").count() == 0
+        for key, word in words.items():
+            button.click()
+            page.evaluate("(key) => { window.disobey = { [key]: true }; }", key)
+            button.click()
+            page.get_by_text(f"the browser leaves {word} on").wait_for()
+            assert page.evaluate("window.obeyed")[key] is True
+            assert page.get_by_role("button", name="Play and record").is_disabled()
+            page.evaluate("() => { window.disobey = null; }")
+            button.click()
+            page.locator("meter").wait_for()
+        button.click()
+        page.evaluate("() => { window.silent = true; }")
+        button.click()
+        page.get_by_text("does not say whether echo cancelling, noise suppression").wait_for()
+        page.get_by_text("resamples from 8000 to").wait_for()
+        assert visit.foreign == [] and visit.errors == []
+        visit.context.close()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark")])

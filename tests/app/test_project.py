@@ -19,14 +19,17 @@ import soundfile
 
 from roomfit.app import project, tasks, views
 from roomfit.app.jobs import Bench, Worker
-from roomfit.base.errors import InputError
-from roomfit.base.findings import Code, Edit
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Edit, Finding
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import write_json_atomically
+from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.edits import apply, preview
 from roomfit.files.schema import RoomSpec
-from scans import furniture, scan, scan_usdz
+from roomfit.room.mesh import refuse
+from scans import HEIGHT_M, furniture, scan, scan_usdz
 
 
 def nothing(_: float) -> None:
@@ -78,6 +81,18 @@ def test_a_scan_that_is_sent_is_the_room_of_the_command(tmp_path: Path, name: st
     assert "bed" not in project.campaign_content(tmp_path).get("objects", {})
 
 
+def test_of_a_scan_of_several_rooms_one_is_named(tmp_path: Path) -> None:
+    box = [(0, 0), (4, 0), (4, 3), (0, 3)]
+    rooms = [scan(), {**scan(box), "sections": [{"label": "kitchen"}]}]
+    (tmp_path / "flat.json").write_text(json.dumps({"rooms": rooms}))
+    views.look_at_upload(tmp_path, "room", "flat.json")
+    with pytest.raises(InputError, match="'livingRoom', 'kitchen'"):
+        views.set_room(tmp_path, file="flat.json", unit=None, space="")
+    views.set_room(tmp_path, file="flat.json", unit=None, space="kitchen")
+    view = views.room_view(tmp_path)
+    assert view["volume_m3"] == pytest.approx(12.0 * HEIGHT_M, rel=1e-5)
+
+
 def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(box: Path) -> None:
     file = project.campaign_file(box)
     file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")
@@ -96,6 +111,44 @@ def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(
     with pytest.raises(InputError, match="cannot edit"):
         project.name_measured(box, "LS1", "R1")
     assert file.read_bytes() == before
+
+
+def test_files_that_devices_have_delayed_unlike_begin_where_the_geometry_says(box: Path) -> None:
+    """5 and 60 ms, to three samples of an onset: one delay for both would be 27 ms off."""
+    rng, t = np.random.default_rng(1), np.arange(24_000) / 48_000.0
+    project.set_position(box, "sources", "S1", (1.0, 1.0, 1.2))
+    (box / "recordings").mkdir()
+    for name, x_m, delay_s in (("R1", 3.0, 0.005), ("R2", 5.0, 0.06)):
+        project.set_position(box, "receivers", name, (x_m, 2.0, 1.3))
+        travel_s = float(np.linalg.norm([x_m - 1.0, 1.0, 0.1])) / 343.2
+        h = np.concatenate([[1.0], 0.1 * rng.normal(size=len(t)) * np.exp(-t / 0.04)])
+        late = np.concatenate([np.zeros(round((travel_s + delay_s) * 48_000)), h])
+        soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
+        project.name_measured(box, "S1", name)
+    checked = check_campaign_recordings(read_campaign(project.campaign_file(box)))
+    assert len(views.recordings_view(box)["rows"]) == len(checked.onset_s) == 2
+    assert checked.onset_s == pytest.approx(checked.travel_s, abs=0.7e-4)
+
+
+def test_what_is_about_all_recordings_stands_once_and_what_is_missing_too(box: Path) -> None:
+    """Four files that begin 5 ms late; before their places are known nothing else is said."""
+    rng, t = np.random.default_rng(1), np.arange(24_000) / 48_000.0
+    project.set_position(box, "sources", "S1", (1.0, 1.0, 1.2))
+    (box / "recordings").mkdir()
+    places = {f"R{i}": (1.5 + i, 2.0 + 0.3 * i, 1.3) for i in range(4)}
+    for name, (x, y, _) in places.items():
+        travel_s = float(np.linalg.norm([x - 1.0, y - 1.0, 0.1])) / 343.2
+        h = np.concatenate([[1.0], 0.1 * rng.normal(size=len(t)) * np.exp(-t / 0.04)])
+        late = np.concatenate([np.zeros(round((travel_s + 0.005) * 48_000)), h])
+        soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
+    project.name_recordings(box, {})
+    view = views.recordings_view(box)
+    assert [f["code"] for f in view["findings"]] == ["positions"]
+    for name, place in places.items():
+        project.set_position(box, "receivers", name, place)
+    view = views.recordings_view(box)
+    assert [f["code"] for f in view["findings"]].count("recordings-late") == 1
+    assert all(f"S1 to {name} (S1_{name}.wav)" in view["table"] for name in places)
 
 
 def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:
@@ -119,6 +172,16 @@ def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> No
     assert again.materials["curtain"].prior is None and not again.sources
 
 
+def test_another_room_keeps_positions_and_forgets_materials_it_does_not_have(box: Path) -> None:
+    project.set_surface_material(box, "east", "curtain")
+    project.set_prior(box, "curtain", "curtain-heavy-draped")
+    project.set_position(box, "receivers", "MP1", (1.0, 2.0, 1.5))
+    project.set_room(box, shoebox=(8.0, 5.0, 3.0))
+    campaign = read_campaign(project.campaign_file(box), to_fit=False)
+    assert campaign.room.shoebox == (8.0, 5.0, 3.0)
+    assert [p.name for p in campaign.receivers] == ["MP1"] and "curtain" not in campaign.materials
+
+
 def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> None:
     file = project.campaign_file(box)
     blank = '\n[sources.LS1]\nposition = "FILL IN"\n[receivers.MP1]\nposition = [1, 1, 1]\n'
@@ -127,6 +190,15 @@ def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> No
     view = views.room_view(box)
     assert [p["name"] for p in view["receivers"]] == ["MP1"] and not view["sources"]
     assert sorted(p.name for p in box.iterdir()) == ["campaign.toml"]
+
+
+def test_an_error_of_a_finding_has_its_points_also_where_a_file_is_put_before_it() -> None:
+    doubt = Finding(Code.POSITION_OUTSIDE, About(points_m=[(1.0, 2.0, 9.0)]), "Near (7, 7, 7) m.")
+    with pytest.raises(InputError) as caught, located("campaign.toml"):
+        refuse([doubt])
+    assert caught.value.points_m == ((1.0, 2.0, 9.0),)
+    assert views.finding_of_error(caught.value)["about"] == {"points_m": [[1.0, 2.0, 9.0]]}
+    assert views.finding_of_error(InputError("Near (7, 7, 7) m"))["about"] == {}
 
 
 def test_a_table_that_was_spoilt_in_the_folder_is_told_and_files_are_named_once(box: Path) -> None:
@@ -378,6 +450,27 @@ def test_what_a_hostile_file_does_ends_the_worker_and_not_its_owner(tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_a_folder_that_is_called_as_a_package_is_no_package_to_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of ``roomfit coverage --out coverage``, which numba takes for a program of that name.
+
+    Nor does a file of the user's run because it has the name of a library.
+    """
+    project.set_room(tmp_path, shoebox=(6.0, 5.0, 3.0))
+    (tmp_path / "coverage").mkdir()
+    (tmp_path / "numba.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
+
+    async def whole() -> None:
+        worker = Worker(4096)
+        await worker.ask("room_view", tmp_path, {}, limit_s=60.0)
+        await worker.stop()
+
+    asyncio.run(whole())
+
+
+@pytest.mark.slow
 def test_a_worker_has_no_more_memory_than_it_may_have(tmp_path: Path) -> None:
     async def whole() -> None:
         worker = Worker(256)  # less than the libraries themselves need
@@ -448,3 +541,39 @@ def test_what_a_finding_advises_resolves_it(
     apply(project.campaign_file(folder), preview(project.campaign_file(folder), edits))
     again = views.recordings_view(folder)
     assert code.value not in [f["code"] for f in again["findings"]] and not again["advised"]
+
+
+def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was_edited(
+    tmp_path: Path,
+) -> None:
+    file = project.campaign_file(tmp_path)
+    file.write_text('[room]\nshoebox = [6, 5, 3]\n[identify]\npositions = "fixed"\n')
+    own = {"severity": "serious", "sentence": "..."}
+
+    def remedy(key: str, value: object, *, once: bool = False) -> dict[str, object]:
+        edit = {"table": ["identify"], "key": key, "value": value}
+        return {"edits": [edit], "words": "", "once": once}
+
+    inflated = {"code": "position-uncertainty-inflated", "severity": "warning", "sentence": "..."}
+    found = [
+        {**own, "code": "position-inconsistent", "remedies": [remedy("positions", "fit")]},
+        {**inflated, "remedies": [remedy("wall_delays", False, once=True)]},
+    ]
+    own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
+    own |= {"identifiable": [True], "area_m2": 12.0}
+    head = {"format": "roomfit-result", "format_version": 1, "fit": {}, "findings": found}
+    file = tmp_path / "first" / "result.json"
+    file.parent.mkdir()
+    write_json_atomically(file, {**head, "bands_hz": [1000.0], "materials": {"walls": own}})
+
+    def codes() -> list[str]:
+        return [a["code"] for a in tasks.answer_view(tmp_path, "first")["advised"]]
+
+    assert codes() == [f["code"] for f in found]
+    content = json.loads(file.read_text())
+    del content["content_sha256"]
+    content["provenance"] = {"inputs_sha256": {"campaign.toml": "of another text"}}
+    write_json_atomically(file, content)
+    assert codes() == ["position-inconsistent"]
+    file.write_text(file.read_text().replace("1000.0", "500.0"))
+    assert codes() == []

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import copy
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
@@ -14,11 +16,16 @@ pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 from nicegui import Client, ui
 from nicegui.page import page
 
+from roomfit.app import jobs, project, tasks, views
 from roomfit.app import page as own_page
-from roomfit.app import project, tasks, views
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
-from roomfit.app.measurements_tab import MeasureTab
+from roomfit.app.elements import Advice
+from roomfit.app.measurements_tab import MeasurementsTab, MeasureTab
+from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
+from roomfit.base.bands import bands_between
+from roomfit.files.responses.sweep import SweepResponse
+from roomfit.signals.response import ImpulseResponse
 
 ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
 
@@ -310,4 +317,113 @@ def test_a_remedy_is_shown_then_written_then_undone(folder: Path) -> None:
     asyncio.run(whole())
 
 
-# What was measured here.
+def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> None:
+    options = [
+        {
+            "words": f'prior = "{entry}" for <floor>',
+            "edits": [{"table": ["materials", "<floor>"], "key": "prior", "value": entry}],
+        }
+        for entry in ("cork-tiles", "carpet-on-underlay")
+    ]
+    entry = {"code": "broad-prior-assumed", "severity": "info", "n": 1, "options": options}
+
+    async def whole() -> None:
+        client = Client(page("/"))
+        with client:
+            Advice(folder).show([entry])
+        (choice,) = [e for e in client.elements.values() if isinstance(e, ui.select)]
+        choice.set_value(1)
+        await press(button(client, "Set this"))
+        text = shown(client)
+        assert "carpet-on-underlay" in text and "cork-tiles" not in text
+        assert "&lt;floor&gt;" in text and "<floor>" not in text
+
+    asyncio.run(whole())
+
+
+# A tab and the processes that answer it.
+
+
+def walk(
+    kind: type[own_page.Tab], folder: Path, way: Callable[[Any, Client], Awaitable[None]]
+) -> None:
+    """Show a tab of a project to who goes this way."""
+
+    async def whole() -> None:
+        client, bench = Client(page("/")), jobs.Bench(folder)
+        with client:
+            tab = kind(bench)
+        try:
+            await tab.refresh()
+            await way(tab, client)
+        finally:
+            await bench.stop()
+
+    asyncio.run(whole())
+
+
+@pytest.mark.slow
+def test_a_finding_is_shown_by_its_points_and_a_surface_that_is_picked_with_its_material(
+    folder: Path,
+) -> None:
+    project.set_position(folder, "sources", "LS1", (2.0, 2.0, 1.5))
+    project.set_position(folder, "receivers", "(7, 7, 7) m", (4.0, 9.0, 0.5))
+
+    async def way(tab: Any, client: Client) -> None:
+        places = [e.text for e in client.elements.values() if isinstance(e, ui.button)]
+        assert "(7, 7, 7) m" in shown(client) and "Show 4.00, 9.00, 0.50" in places
+        assert not any("7.00" in text for text in places)
+        names = [s["name"] for s in tab.room["surfaces"]]
+        assert "Surface floor" not in shown(client)
+        tab.pick(names.index("floor"))
+        assert "Surface floor" in shown(client) and "What floor is" in str(
+            [e.props.get("label") for e in client.elements.values()]
+        )
+        pressed = [line.props["aria-pressed"] for line in tab.lines]
+        assert pressed.count("true") == 1 and pressed[names.index("floor")] == "true"
+
+    walk(RoomTab, folder, way)
+
+
+@pytest.mark.slow
+def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
+    project.name_measured(folder, "LS1", "MP1")
+
+    async def way(tab: Any, _: Client) -> None:
+        fields, before = tab.fields["sources", "LS1"], project.campaign_file(folder).read_text()
+        for field, value in zip(fields[:2], (1.0, 2.0), strict=True):
+            field.set_value(value)
+        await tab.type_position("sources", "LS1")
+        assert project.campaign_file(folder).read_text() == before
+        fields[2].set_value(1.5)
+        await tab.type_position("sources", "LS1")
+        assert "position = [1.0, 2.0, 1.5]" in project.campaign_file(folder).read_text()
+        assert [field.value for field in tab.fields["sources", "LS1"]] == [1.0, 2.0, 1.5]
+
+    walk(MeasurementsTab, folder, way)
+
+
+def test_a_response_is_shown_with_its_range_and_why_to_measure_again(folder: Path) -> None:
+    bands, range_db = bands_between("octave", 125.0, 250.0), np.array([31.0, 47.0])
+    again = "noise hides the decay in 125 Hz"
+    found = SweepResponse(
+        ImpulseResponse(np.ones(9), 48_000.0), -9.0, 0, -70.0, bands, range_db, (again,)
+    ).content()
+    found |= {"source": "<S>", "receiver": "R1"}
+
+    async def way(tab: Any, client: Client) -> None:
+        await tab.show(found)
+        text = shown(client)
+        assert "Measure again: noise hides the decay in 125 Hz." in text
+        assert "31 dB" in text and "too short" in text and "&lt;S&gt; to R1" in text
+        assert "It suffices" not in text
+        await tab.show({**found, "again": [], "not_named": "The response is not in the campaign."})
+        text = shown(client)
+        assert "It suffices" in text and "not in the campaign" in text
+        assert "again: noise" not in text
+        (folder / project.RECORDINGS).mkdir()
+        (folder / project.RECORDINGS / "S1_R1.wav").touch()
+        await tab.refresh()
+        assert "In recordings: S1_R1.wav" in shown(client)
+
+    walk(MeasureTab, folder, way)

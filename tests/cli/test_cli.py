@@ -149,6 +149,19 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     assert f"{result['materials']['carpet']['absorption'][0]:.2f}"[1:] in table
 
 
+@pytest.mark.slow
+def test_overwriting_replaces_what_has_the_same_name_and_keeps_the_rest(tmp_path, monkeypatch):
+    campaign = write_campaign(tmp_path / "campaign")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "result.json").write_text("old")
+    (out / "notes.txt").write_text("mine")
+    assert run_command(monkeypatch, "identify", campaign, "--out", out, "--overwrite") == 0
+    assert json.loads((out / "result.json").read_text())["format"] == "roomfit-result"
+    assert (out / "notes.txt").read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "out"]
+
+
 def test_the_schema_is_json_that_says_what_every_key_means(monkeypatch, capsys):
     """And takes a campaign that is good: every key of it is among the properties."""
     assert run_command(monkeypatch, "schema") == 0
@@ -180,6 +193,21 @@ def test_check_tells_a_room_in_numbers_and_its_faults_in_words(tmp_path, monkeyp
     room.write_text(box_obj(without="ceiling"))
     assert run_command(monkeypatch, "check", room, "--unit", "m") == 2
     assert "Faults forbid tracing" in capsys.readouterr().out
+
+
+def test_check_of_a_campaign_names_every_wrong_position_at_once(tmp_path, monkeypatch, capsys):
+    good = write_campaign(tmp_path / "good")
+    assert run_command(monkeypatch, "check", good) == 0
+    assert "carpet" in capsys.readouterr().out
+    bad = write_campaign(
+        tmp_path / "bad",
+        ("position = [1.0, 1.2, 1.1]", "position = [1.0, 0.001, 1.1]"),
+        ("position = [2.9, 2.2, 1.3]", "position = [2.9, 22.0, 1.3]"),
+    )
+    assert run_command(monkeypatch, "check", bad) == 2
+    reported = capsys.readouterr().out
+    assert "source 'LS1' stands in a wall" in reported
+    assert "receiver 'MP1' stands outside the room" in reported
 
 
 def late_campaign(folder, samples=40):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
+import subprocess
 import sys
 import zipfile
 import zlib
@@ -13,10 +15,11 @@ from html import escape
 import numpy as np
 import pytest
 
-from report_cases import read_page, scene_of
+from report_cases import answer_of, read_page, scene_of
 from roomfit.base.errors import InputError
 from roomfit.cli.export import export_result
 from roomfit.cli.identify import identify_to_folder
+from roomfit.report.answer import report_html
 from roomfit.report.documents import report_pdf, report_word
 from roomfit.report.figures import png, svg
 from roomfit.report.room_figure import room_figure
@@ -60,6 +63,22 @@ def test_a_page_becomes_a_pdf_of_a4_with_its_title_and_quietly(made, capfd):
     text = made + b"".join(zlib.decompress(s) for s in found)
     for part in (b"595.2", b"841.8", b"Absorption: hall"):
         assert part in text
+
+
+def test_drawings_are_not_black(made, tmp_path):
+    """Most of the paper is white, within the drawing, too."""
+    if shutil.which("pdftoppm") is None:
+        pytest.skip("pdftoppm is not here")
+    (tmp_path / "a.pdf").write_bytes(made)
+    subprocess.run(
+        ["pdftoppm", "-r", "30", "-gray", str(tmp_path / "a.pdf"), str(tmp_path / "p")], check=True
+    )
+    (page,) = tmp_path.glob("p*.pgm")
+    content = page.read_bytes()
+    width, height = re.match(rb"P5\s(\d+) (\d+)\s255\s", content).groups()
+    shades = np.frombuffer(content[-int(width) * int(height) :], dtype=np.uint8)
+    assert (shades > 200).mean() > 0.95
+    assert (shades < 160).any()
 
 
 def test_nothing_is_fetched(tmp_path):
@@ -138,6 +157,20 @@ def test_absorption_and_intervals_are_those_of_the_result(written, book):
 
 
 @pytest.mark.slow
+def test_room_parameters_are_those_of_the_result(written, book):
+    result = json.loads((written / "result.json").read_text())
+    for pair in result["pairs"]:
+        caption = f"{pair['source']} to {pair['receiver']}: predicted minus measured in JND"
+        rows = {row[0].split("\n")[0]: row[1:] for row in tables(book)[caption][1:]}
+        for i, cell in enumerate(rows["T20"]):
+            measured, predicted = map(number, cell.split("\n")[1].split("→"))
+            values = pair["parameters"]["T20_s"]
+            np.testing.assert_allclose(
+                [measured, predicted], [values["measured"][i], values["predicted"][i]], atol=0.00501
+            )
+
+
+@pytest.mark.slow
 def test_headings_tables_and_findings_are_those_of_the_page_in_its_order(written, book):
     text = (written / "report.html").read_text(encoding="utf-8")
     headings = re.findall(r"<h[12]>(.*?)</h[12]>", text)
@@ -155,6 +188,17 @@ def test_headings_tables_and_findings_are_those_of_the_page_in_its_order(written
 
 
 @pytest.mark.slow
+def test_pictures_are_those_beside_the_report_with_words_for_those_who_do_not_see(written, book):
+    parts = book.part.related_parts.values()
+    held = {part.blob for part in parts if part.content_type == "image/png"}
+    names = ("absorption", "room", "decay_times")
+    assert {(written / f"{name}.png").read_bytes() for name in names} <= held
+    words = book.element.xpath("//wp:inline/wp:docPr/@descr")
+    assert len(words) == len(book.inline_shapes) == len(held) and all(words)
+    assert not any("In report.html" in p.text for p in book.paragraphs)
+
+
+@pytest.mark.slow
 def test_it_is_the_same_file_whenever_it_is_written_and_names_nobody(written):
     text = (written / "report.html").read_text(encoding="utf-8")
     content = report_word(text, {})
@@ -164,6 +208,15 @@ def test_it_is_the_same_file_whenever_it_is_written_and_names_nobody(written):
         core = archive.read("docProps/core.xml").decode()
     assert "<dc:title>Hall ü</dc:title>" in core
     assert not re.search(r"20\d\d-|python-docx", core)
+
+
+@pytest.mark.slow
+def test_names_of_any_letters_are_written_as_text():
+    scene = scene_of(("</table>&<b>", "floor", "ceiling"))
+    named = answer_of(scene)
+    shown = docx.Document(io.BytesIO(report_word(report_html(named, scene, title="a"), {})))
+    heads = {cells[0].split("\n")[0] for rows in tables(shown).values() for cells in rows}
+    assert "</table>&<b>" in heads
 
 
 @pytest.mark.slow

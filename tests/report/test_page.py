@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
+import html
+import io
 import re
 import tomllib
 import xml.etree.ElementTree as ET
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib import rc_context
 from matplotlib.image import imread
 
 import roomfit
@@ -43,7 +46,7 @@ from roomfit.report.figures import (
     write_pictures,
 )
 from roomfit.report.html import fragment, page
-from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
+from roomfit.report.room_figure import MOST_FACES, drawn_faces, outline_m, room_figure
 from roomfit.report.wording import DASH, Series
 from roomfit.result import Compared
 from roomfit.signals.decay import in_jnd
@@ -240,6 +243,12 @@ def test_findings_come_first_with_the_most_serious_ahead(case):
     assert doubts == {"class": "doubts serious", "open": ""}
 
 
+def test_equal_arguments_give_equal_text(case):
+    answer, scene, text, _ = case
+    again = report_html(answer, scene, title="A room", inputs_sha256={"a.wav": "ab" * 32})
+    assert again == text
+
+
 def test_nothing_is_asked_of_any_network(case):
     _, _, text, page = case
     assert all(value[0] == "#" for _, _, value in page.references), page.references
@@ -263,6 +272,51 @@ def test_nothing_is_executed(case):
         assert f"'sha256-{digest}'" in policy
     assert not [tag for tag, a in page.elements if "style" in a]
     assert "javascript:" not in text
+
+
+def test_every_link_leads_to_a_section_and_every_picture_has_words(case):
+    page = case[3]
+    names = {a["id"] for _, a in page.elements if "id" in a}
+    assert {value[1:] for _, _, value in page.references} <= names
+    for tag, attributes in page.elements:
+        if tag == "svg" and "aria-hidden" not in attributes:
+            assert attributes["role"] == "img"
+            assert attributes["aria-labelledby"] in names
+        assert tag != "img"
+    assert sum(tag == "table" for tag, _ in page.elements) == len(page.tables)
+
+
+def test_drawings_of_one_page_share_no_id_and_refer_only_to_their_own(case):
+    text, page = case[2], case[3]
+    ids = [a["id"] for _, a in page.elements if "id" in a]
+    assert len(ids) == len(set(ids))
+    for name in ("room", "absorption", "decay"):
+        root = ET.fromstring(drawing(text, name))
+        own = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
+        assert own
+        assert all(i.startswith(f"{name}-") for i in own)
+        values = [v for e in root.iter() for v in e.attrib.values()]
+        used = re.findall(r"(?:^|url\()#([\w-]+)", " ".join(values).replace(" #", "\n#"), re.M)
+        assert used
+        assert set(used) <= own
+        classes = {e.attrib["class"] for e in root.iter() if "class" in e.attrib}
+        rules = set(re.findall(r"\.([\w-]+)\{", root.find("style").text))
+        assert {c for c in classes if not c.startswith("curve-")} == rules
+        assert all(re.fullmatch(rf"{name}-(all|s\d+)", rule) for rule in rules)
+
+
+@pytest.mark.slow
+def test_forty_pairs_in_third_octaves_stay_below_two_and_a_half_megabytes():
+    names = [f"material {i}" for i in range(3)]
+    scene = scene_of(names, [f"S{i}" for i in range(4)], [f"R{i}" for i in range(10)])
+    answer = answer_of(scene, kind="third-octave", low=100, high=10000)
+    text = report_html(answer, scene, title="Many")
+    assert len(answer.pairs) == 40
+    assert len(text.encode()) <= 2.5e6
+    page = read_page(text)
+    assert len(table(page, "S3 to R9")["T20"]) == len(answer.bands) == 21
+    assert len([c for c in page.tables if c.startswith("S3 to R9")]) == 3
+    assert drawing(text, "decay").count('<g class="curve-39">') == 1 + 4 * 21
 
 
 def odd_cases():
@@ -353,6 +407,28 @@ def test_a_notebook_shows_the_tables_of_the_terminal_and_obeys_no_name():
     assert all(caption in str(answer) for caption in shown.tables)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "names", [("$a$ and $b$", "_hidden", "]]>"), ("\\frac{a}", "a  b", "--><b>")]
+)
+def test_a_name_is_drawn_letter_by_letter(names):
+    """A formula, an entry left out of a legend, the end of a comment: all are only names."""
+    scene = scene_of(names, names, ("R1",))
+    text = report_html(answer_of(scene), scene, title="t")
+    for drawn in ("room", "absorption"):
+        root = ET.fromstring(drawing(text, drawn))
+        words = [
+            "".join(e.itertext()).replace("\N{ZERO WIDTH SPACE}", "") for e in root.iter("text")
+        ]
+        assert {" ".join(name.split()) for name in names} <= set(words), drawn
+    read_page(text)
+    # as a notebook shows it, by no writer of this project
+    shown = io.StringIO()
+    with rc_context({"svg.fonttype": "none"}):
+        answer_of(scene).plot().savefig(shown, format="svg")
+    assert html.escape(names[0], quote=False) in shown.getvalue()
+
+
 @given(st.floats(), st.integers(0, 4), st.booleans())
 def test_a_number_is_reported_to_its_last_digit_or_as_a_dash(value, decimals, signed):
     reported = wording.number(value, decimals, signed=signed)
@@ -362,6 +438,13 @@ def test_a_number_is_reported_to_its_last_digit_or_as_a_dash(value, decimals, si
     # half a unit of the last digit, and the rounding of the value itself
     assert abs(number(reported) - value) <= 0.5 * 10.0**-decimals + 1e-15 * abs(value)
     assert (reported[0] == "\N{MINUS SIGN}") == (number(reported) < 0.0)
+
+
+def test_the_outline_of_a_box_is_its_twelve_edges():
+    ends = outline_m(scene_of().room, 100)
+    lengths = np.sort(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+    # the six diagonals between the triangles of one wall are left out
+    assert lengths.tolist() == [3.0] * 4 + [4.0] * 4 + [6.0] * 4
 
 
 @pytest.mark.slow
@@ -488,6 +571,11 @@ def rows_of(table):
     return [tuple(row) for row in texts_of(table)]
 
 
+def test_where_predictions_agree_there_is_no_table(answer, scene):
+    assert disagreement_table(with_errors(answer, 0.04), scene) is None
+    assert disagreement_table(replace(answer, pairs=()), scene) is None
+
+
 def test_scatter_stands_beside_what_interference_makes(answer, scene):
     """Plus and minus by turns; 15 % is beyond two JND."""
     off = with_errors(answer, 0.15 * (-1.0) ** np.arange(8))
@@ -521,6 +609,15 @@ def test_decay_curves_show_the_noise_and_the_range_that_was_evaluated(answer):
         assert (box.y0, box.y1) == (-25.0, -5.0)  # T20
         floors = [x.get_ydata()[0] for x in axes.lines if x.get_linestyle() == ":"]
         assert floors == ([] if np.isnan(level) else [level])
+
+
+def test_greys_of_drawings_turn_with_the_page(answer, scene):
+    text = report_html(answer, scene, title="t")
+    for name in ("room", "absorption", "decay"):
+        rules = re.sub(r"var\(--\w+,#\w+\)", "", drawing(text, name))
+        assert not re.findall(r"(?:fill|stroke):#(\w\w)\1\1\b", rules), name
+    style = "".join(read_page(text).raw["style"])
+    assert "prefers-color-scheme: dark" in style and "@page" in style
 
 
 def test_a_mean_at_mid_frequencies_has_no_interval_of_another_band():

@@ -104,6 +104,12 @@ def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_ban
     assert not wanted
 
 
+def test_without_a_change_the_page_says_predicted_and_measured():
+    page = page_of(foreseen([]))
+    assert "before" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    assert "<small>measured</small>" in page
+
+
 def with_change(compared, name: str, low: float, high: float, code: Code | None):
     """Return a prediction of which a finding doubts 500 Hz, where a change has another interval."""
     value = compared.mean[name]

@@ -13,6 +13,7 @@ from roomfit.base.table import (
     Column,
     Table,
     csv_of,
+    data_frame,
     html_of,
     text_of,
     workbook_of,
@@ -58,6 +59,12 @@ def test_csv_rounds_leaves_unknown_cells_empty_and_disarms_formulas():
     assert rows[1] == ["'=a <b>", "125", "0.250", "2"]
     assert rows[2][2] == ""
     assert list(csv.reader(io.StringIO(csv_of(RECORDS, missing="nan"))))[2][2] == "nan"
+
+
+def test_a_data_frame_has_numbers_that_are_not_rounded():
+    pandas = pytest.importorskip("pandas")
+    frame = data_frame(Table("", ("a",), [(1.0 / 3.0,)], form=".1f"), "a.csv")
+    assert isinstance(frame, pandas.DataFrame) and frame["a"][0] == 1.0 / 3.0
 
 
 def test_a_sheet_has_numbers_as_numbers_and_no_formula():
