@@ -180,6 +180,9 @@ def test_another_room_keeps_positions_and_forgets_materials_it_does_not_have(box
     campaign = read_campaign(project.campaign_file(box), to_fit=False)
     assert campaign.room.shoebox == (8.0, 5.0, 3.0)
     assert [p.name for p in campaign.receivers] == ["MP1"] and "curtain" not in campaign.materials
+    project.set_surface_material(box, "floor", "parquet")
+    project.forget_unused_materials(box, ["walls", "parquet", "ceiling"])
+    assert set(project.campaign_content(box)["materials"]) == {"walls", "ceiling"}
 
 
 def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> None:
