@@ -25,6 +25,7 @@ from roomfit.fit.trace_plan import LEAST_RADIUS_M, LEAST_RAYS
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
+from roomfit.pressures.sequential import NOISES
 from roomfit.room.build import TOO_WARPED_FROM_M
 from roomfit.room.check import LEAK_LIMIT
 from roomfit.settings import Settings
@@ -169,6 +170,12 @@ def test_a_cell_of_the_accuracy_in_the_readme_has_one_number_that_its_page_has_t
             assert set(numbers) <= known, quantity
 
 
+def test_a_version_in_the_changelog_takes_600_words_at_most():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for version in text.split("\n## ")[1:]:
+        assert len(version.split()) <= 600, version.split("\n")[0]
+
+
 # What the pages name exists.
 
 
@@ -236,6 +243,16 @@ def test_files_and_tests_that_a_page_names_are_there():
             assert (ROOT / name).exists(), f"{named(path)} names {name}"
     for name in re.findall(r"scripts/bench (\w+)", page("benchmarks.md")):
         assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
+
+
+def test_every_benchmark_is_run_or_left_out_by_name_and_stands_on_its_page():
+    """Those that need no argument are run; each has a row that says what it prints."""
+    programs = {p.stem for p in (ROOT / "benchmarks").glob("[a-z]*.py")}
+    script = (ROOT / "scripts" / "bench").read_text(encoding="utf-8")
+    left_out = set(re.findall(r'left_out="([^"]*)"', script)[0].split())
+    assert left_out < programs
+    named = set(re.findall(r"scripts/bench (\w+)", page("benchmarks.md")))
+    assert programs <= named
 
 
 def test_every_command_and_option_is_reported():
@@ -306,3 +323,9 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
         text = " ".join(page(name).split())
         for sentence in sentences:
             assert sentence in text, f"{name} no longer says: {sentence}"
+
+
+def test_errors_of_the_model_are_those_that_the_page_states():
+    low, high = re.findall(r"error of the model, (\d+) to (\d+) %", page("how-it-works.md"))[0]
+    models = [model for model, _, _ in NOISES]
+    assert (100 * min(models), 100 * max(models)) == (float(low), float(high))

@@ -52,6 +52,26 @@ def test_the_documentation_says_of_every_code_in_order_what_it_means():
     assert len(set(meanings)) == len(Code)
 
 
+def test_these_findings_and_no_others_void_identifiability():
+    """Each of them says that the description of the whole room is in doubt."""
+    assert {code.value for code in Code if code.voids_identifiability} == {
+        "coordinates-scaled",
+        "decay-bent",
+        "noise-gated",
+        "exchanged",
+        "levels-apart",
+        "recordings-late",
+        "recording-of-two-pairs",
+        "displacement-detected",
+        "model-misfit-all-bands",
+        "reflection-delay-detected",
+        "position-inconsistent",
+        "wall-position-mismatch",
+        "source-not-omnidirectional",
+        "scattering-underestimated",
+    }
+
+
 # The sources.
 
 
@@ -95,6 +115,22 @@ def test_whatever_stops_a_room_has_a_serious_code():
     attributes = [code.attr for code in codes if isinstance(code, ast.Attribute)]
     assert len(attributes) > 3
     assert {n for n in attributes if Code[n].severities != ("serious",)} == set()
+
+
+def test_codes_of_two_severities_are_graded_wherever_they_come_up():
+    """Else the usual severity would be shown whatever the size."""
+    graded = {
+        call.args[0].attr
+        for call in calls("Finding")
+        if isinstance(call.args[0], ast.Attribute) and any(k.arg == "graded" for k in call.keywords)
+    }
+    plain = {
+        call.args[0].attr
+        for call in calls("Finding")
+        if isinstance(call.args[0], ast.Attribute) and all(k.arg != "graded" for k in call.keywords)
+    }
+    assert graded == {code.name for code in Code if len(code.severities) > 1}
+    assert not graded & plain
 
 
 # One finding.

@@ -16,6 +16,7 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.base.forks import (
+    at_once,
     beside,
     count_evaluation,
     counted_evaluations,
@@ -43,6 +44,10 @@ def test_items_keep_their_order_and_two_processes_share_them() -> None:
     found = in_forks(slow_square, range(7))
     assert [x for x, _ in found] == [x * x for x in range(7)]
     assert len({pid for _, pid in found}) == 2
+
+
+def test_each_copy_has_one_thread_and_makes_no_copies_of_its_own() -> None:
+    assert in_forks(lambda _: (time.sleep(0.05), at_once())[1], range(4)) == [1] * 4
 
 
 def failing(x: int) -> int:

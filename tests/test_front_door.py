@@ -67,9 +67,47 @@ def test_importing_a_module_of_the_name_of_a_function_does_not_hide_the_function
         assert callable(getattr(roomfit, name)), name
 
 
+def test_the_front_door_is_small():
+    """What a first program needs; other names stay in the modules that hold them."""
+    assert len(NAMES) <= 64
+
+
+def test_names_are_offered_for_completion_and_unknown_ones_refused():
+    assert set(NAMES) <= set(dir(roomfit))
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = roomfit.identfy
+
+
 def test_importing_the_front_door_imports_no_other_package():
     program = "import sys, roomfit; print([m for m in ('numpy', 'pydantic') if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.slow
+def test_a_check_of_recordings_loads_no_pictures_and_no_statistics():
+    """Half of its time were packages that it does not use."""
+    heavy = (
+        "matplotlib",
+        "jinja2",
+        "scipy.stats",
+        "scipy.signal",
+        "scipy.optimize",
+        "scipy.spatial",
+    )
+    program = (
+        "import sys, roomfit.cli.check, roomfit.checks.usable, roomfit.report.check\n"
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_version_is_that_of_the_installed_package():
+    from importlib.metadata import version
+
+    assert roomfit.__version__ == version("roomfit")

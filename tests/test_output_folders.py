@@ -225,6 +225,31 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
+@POSIX
+def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
+    """Python prints it as ignored and goes on; the command line asks again."""
+    run = command(
+        "class Slow:\n        def __del__(self):\n"
+        "            print('in', flush=True); time.sleep(600)\n"
+        "    Slow()\n    time.sleep(600)"
+    )
+    assert run.stdout is not None and run.stdout.readline() == b"in\n"
+    run.send_signal(signal.SIGINT)
+    _, said = run.communicate()
+    assert run.returncode == 130
+    assert b"Exception ignored" in said
+
+
+@POSIX
+def test_an_interrupt_within_exec_ends_with_the_same_code():
+    """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
+    run = command("exec('raise KeyboardInterrupt')")
+    _, said = run.communicate()
+    assert run.returncode == 130
+    assert said.startswith(b"interrupted")
+
+
 @POSIX
 def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsys):
     table = tmp_path / "absorption.csv"

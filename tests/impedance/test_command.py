@@ -183,6 +183,16 @@ def test_a_spectrum_that_is_not_one_is_refused(tmp_path, changed, words):
         read_spectrum(spectrum_file(tmp_path, **changed))
 
 
+def test_levels_are_read_as_such(tmp_path):
+    file = spectrum_file(tmp_path, p=None, magnitude=np.ones(len(F_HZ)))
+    assert not read_spectrum(file).has_phase
+    (tmp_path / "b.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="not a NumPy archive"):
+        read_spectrum(tmp_path / "b.npz")
+    with pytest.raises(InputError, match="does not exist"):
+        read_spectrum(tmp_path / "c.npz")
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [

@@ -178,6 +178,12 @@ def test_noise_that_is_unspecified_is_estimated_and_makes_the_verdict_weaker():
     assert rms_by_material(found_r0(answer) - r0, F_HZ).max() <= 0.02
 
 
+def test_the_same_seed_gives_the_same_bits():
+    observed, _ = image_data(np.random.default_rng(18), n_pairs=4)
+    first, second = (identified(observed, n_pairs=4) for _ in range(2))
+    np.testing.assert_array_equal(found_r0(first), found_r0(second))
+
+
 def test_few_frequencies_and_a_wall_that_does_not_change_with_them_are_enough():
     rng = np.random.default_rng(20)
     f = np.array([300.0, 400.0, 500.0, 600.0, 700.0])

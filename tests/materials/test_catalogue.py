@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import statistics
 
 import numpy as np
 import pytest
@@ -70,6 +71,33 @@ SAME_MATERIAL = {
     "mineral_wool_50mm_70kgm3": "mineral-wool-with-air-space",
     "ceiling_fissured_tile": "ceiling-tile-suspended",
 }
+
+
+def test_every_value_has_a_source_and_every_source_is_used():
+    content = catalogue()
+    assert len(content.entries) >= 60
+    assert len({entry.name for entry in content.entries}) == len(content.entries)
+    for entry in content.entries:
+        assert entry.readings
+        for reading in entry.readings:
+            printed = reading.absorption[~np.isnan(reading.absorption)]
+            assert len(printed) >= 6
+            assert np.all((printed > 0.0) & (printed < 1.3))
+            assert len(reading.source) > 20
+            assert reading.row
+    assert len({r.source for e in content.entries for r in e.readings}) == 13
+
+
+def test_the_common_spread_is_the_pooled_variance_of_names_with_several_readings():
+    pooled, freedom = 0.0, 0
+    for entry in catalogue().entries:
+        rows = distinct(np.array([r.absorption for r in entry.readings]))
+        for band in range(1, 7):
+            values = [float(v) for v in logit(rows[:, band])]
+            if len(values) > 1:
+                pooled += (len(values) - 1) * statistics.variance(values)
+                freedom += len(values) - 1
+    assert catalogue().common_logit_sd == pytest.approx((pooled / freedom) ** 0.5, rel=1e-12)
 
 
 def test_a_single_reading_has_the_common_spread():
@@ -157,6 +185,15 @@ def test_a_reading_left_out_lies_where_the_others_said():
             inside += list(np.abs(logit(rows[i])[1:7] - middle[1:7]) < 1.96 * sd[1:7])
     assert len(inside) > 600
     assert 0.925 <= np.mean(inside) <= 0.975
+
+
+def test_the_rules_for_the_ends_miss_by_as_much_as_they_widen():
+    """125 Hz predicted from the next two octaves, and 4 kHz from 2 kHz, over all entries."""
+    m = np.array([e.logit_mean for e in catalogue().entries])
+    low = m[:, 1] - m[:, 2] - np.clip(0.75 * (m[:, 2] - m[:, 3]), -0.7, 0.7)
+    high = m[:, 6] - m[:, 5]
+    assert np.sqrt(np.mean(low**2)) == pytest.approx(LOW_WIDENING, abs=0.05)
+    assert np.sqrt(np.mean(high**2)) == pytest.approx(HIGH_WIDENING, abs=0.05)
 
 
 def test_another_book_lies_within_the_spread(real_data):

@@ -9,6 +9,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from coherent_cases import small_term
+from roomfit.base.typing import FloatArray
 from roomfit.model.directivity import DIRECTIVITY, BandDirectivities, UnknownDirectivities
 from roomfit.model.early import DisplacedTerm, fixed_paths
 
@@ -85,6 +86,13 @@ def displaced(gain: int = 0) -> DisplacedTerm:
     )
 
 
+def image_energies(term: DisplacedTerm, absorption: FloatArray, b: FloatArray) -> FloatArray:
+    """Return what every image brings, by its hits and by the pattern where it is unknown."""
+    energy = term.weight * np.prod((1.0 - absorption) ** term.hits, axis=1)
+    known = term.kept.directivity.source[term.observation] < 0
+    return energy * np.where(known, 1.0, (1.0 + term.basis @ b) ** 2 / (1.0 + b @ b / 3.0))
+
+
 def test_images_have_the_energy_of_their_hits_and_of_where_they_leave_the_source():
     """A pattern of unit power; paths that stay grow as linearised, by e^5 at most."""
     term = displaced()
@@ -93,9 +101,7 @@ def test_images_have_the_energy_of_their_hits_and_of_where_they_leave_the_source
     values = {"absorption": absorption, "gain": np.array([gain]), DIRECTIVITY: z}
     unknown = kept.directivity.unknown
     b = unknown.mean + unknown.root @ z
-    energy = term.weight * np.prod((1.0 - absorption) ** term.hits, axis=1)
-    known = kept.directivity.source[term.observation] < 0
-    energy *= np.where(known, 1.0, (1.0 + term.basis @ b) ** 2 / (1.0 + b @ b / 3.0))
+    energy = image_energies(term, absorption, b)
     log_growth = kept.mean_hits @ (np.log(1.0 - absorption) - kept.log_reflected)
     log_growth += kept.log_slopes @ (b - kept.b[0])
     rest = kept.energy * np.exp(np.clip(log_growth, -50.0, 5.0))
@@ -130,3 +136,31 @@ def test_images_have_the_derivatives_of_finite_differences():
             numeric = (ahead - behind) / 2e-6
             scale = np.abs(numeric).max()
             np.testing.assert_allclose(derivatives[name][:, k], numeric, atol=1e-6 * scale)
+
+
+def test_the_variance_of_images_is_that_of_their_pieces_and_of_their_times():
+    """Written out window by window: pairs of images in a piece, times, rays, and noise."""
+    term = displaced()
+    kept = replace(term.kept, tracing=np.linspace(1.0, 2.0, term.kept.energy.size))
+    term = replace(term, kept=kept)
+    observations = tuple(replace(o, timing_sd_s=1e-4) for o in kept.term.observations)
+    kept = replace(kept, term=replace(kept.term, observations=observations))
+    term = replace(term, kept=kept)
+    gain, absorption = 2.0, 1.0 - np.exp(kept.log_reflected)
+    z = np.linalg.solve(kept.directivity.unknown.root, kept.b[0] - kept.directivity.unknown.mean)
+    values = {"absorption": absorption, "gain": np.array([gain]), DIRECTIVITY: z}
+    energy = image_energies(term, absorption, kept.b[0])
+    found = term.variance_parts(values)["reflections"]
+    ends = [*kept.first_piece, kept.fine_energy.size]
+    widths_s = np.concatenate([np.diff(o.fine_edges_s) for o in observations])
+    shares, slopes = term.fine_spreading.toarray(), term.squared_slopes.toarray()
+    signal = term.signal(values)
+    for w in range(kept.energy.size):
+        own = 0.0
+        for piece in range(ends[w], ends[w + 1]):
+            arrived = shares[piece] * energy
+            whole = (arrived.sum() + kept.fine_energy[piece]) ** 2 - np.sum(arrived**2)
+            own += whole / (kept.term.bandwidth_hz * widths_s[piece])
+        own += 1e-8 * float(slopes[w] @ energy**2) + kept.tracing[w]
+        noise = kept.background[w, 0] + kept.background[w, 1] * signal[w]
+        assert found[w] == pytest.approx(gain**2 * own + noise, rel=1e-9)

@@ -21,3 +21,15 @@ def test_eyrings_time_and_absorption_are_inverse(absorption, volume_m3, air_per_
     found = eyring_absorption(6.0 * np.log(10.0) / time_s, *room, air_per_m)
     assert found == pytest.approx(absorption, rel=1e-9)
     assert eyring_absorption(0.0, *room) == 0.02 and eyring_absorption(1e6, *room) == 0.98
+
+
+@given(absorption=st.floats(0.03, 0.97), m=st.floats(0.0, 0.05))
+def test_eyrings_rate_gives_eyrings_absorption_back(absorption: float, m: float) -> None:
+    """T = 55.26 V / (c (4 m V - S ln(1 - a))), the textbook form, to its four digits."""
+    volume, surface, c = 622.5, 464.6, 341.0
+    t60 = 55.26 * volume / (c * (4.0 * m * volume - surface * np.log1p(-absorption)))
+    found = eyring_absorption(6.0 * np.log(10.0) / t60, volume, surface, c, m)
+    assert found == pytest.approx(absorption, rel=1e-3)
+    # and the same formula solved for the time
+    time_s = eyring_time_s(np.array(absorption), volume, surface, c, np.array(m))
+    assert time_s == pytest.approx(t60, rel=1e-4)

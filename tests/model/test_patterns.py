@@ -16,6 +16,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.directivity import read_directivity
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.patterns import (
+    MeasuredDirectivity,
     Pattern,
     aimed,
     amplitude_and_slope,
@@ -174,6 +175,30 @@ def test_a_pattern_about_an_aim_keeps_its_sound_power_and_is_alike_all_around(b)
     assert axial_index_db(at) == pytest.approx(10.0 * np.log10(max(axis, 1e-12)), abs=0.01) or (
         axis < 1e-6
     )
+
+
+def test_a_table_of_directions_is_read_linearly_between_its_lines_and_at_its_ends():
+    """Front and back for every azimuth, and left from either side of where azimuths begin."""
+    table = np.arange(4.0)[:, None] + np.array([0.0, 10.0, 30.0, 70.0, 0.0])
+    table[0], table[-1] = 5.0, -7.0
+    source = MeasuredDirectivity(np.array([1e3]), table[None] + 7.0, np.eye(3))
+
+    def at(*direction: float) -> float:
+        return float(measured_factor(source, np.array([direction]), 0)[0]) - 7.0
+
+    assert at(1.0, 0.0, 0.0) == 5.0 and at(-1.0, 0.0, 0.0) == at(-1.0, 1e-300, 0.0) == -7.0
+    # polar angles every 60, azimuths every 90 degrees: left, top, right, bottom
+    for polar in (60.0, 80.0, 110.0):
+        x, y = np.cos(np.radians(polar)), np.sin(np.radians(polar))
+        i, rest = (1, polar / 60.0 - 1.0)
+        for j, (left, top) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+            wanted = (1.0 - rest) * table[i, j] + rest * table[i + 1, j]
+            assert at(x, y * left, y * top) == pytest.approx(wanted)
+        half = np.sqrt(0.5) * y
+        wanted = 0.5 * (1.0 - rest) * (table[i, 2] + table[i, 3])
+        wanted += 0.5 * rest * (table[i + 1, 2] + table[i + 1, 3])
+        assert at(x, -half, -half) == pytest.approx(wanted)
+    assert at(0.0, 1.0, -1e-300) == at(0.0, 1.0, 0.0) == pytest.approx(1.5)
 
 
 def test_the_mean_over_the_sphere_is_one_and_linear_in_its_polar_angle_s_cosine():

@@ -72,6 +72,20 @@ def test_a_time_on_an_edge_belongs_to_the_later_window() -> None:
     assert np.diff(rows.offsets).tolist() == [0, 1]
 
 
+def test_the_factor_is_the_ratio_of_the_probabilities() -> None:
+    """Hit by hit."""
+    paths = random_paths(4)
+    s0, s = (0.3, 0.6), (0.1, 0.9)
+    expected = np.ones(len(paths))
+    for i, m in np.ndindex(paths.hits_diffuse.shape):
+        for _ in range(paths.hits_diffuse[i, m]):
+            expected[i] *= s[m] / s0[m]
+        for _ in range(paths.hits_specular[i, m]):
+            expected[i] *= (1.0 - s[m]) / (1.0 - s0[m])
+    factor = scattering_weights(paths, Scattering(paths.materials, np.array(s)))
+    np.testing.assert_allclose(factor, expected, rtol=1e-13)  # some 10 factors rounded once each
+
+
 def test_the_mean_factor_of_drawn_hits_is_one() -> None:
     """Importance sampling: 40,000 paths of three hits drawn at s0 = 0.4, weighed for s = 0.3.
 

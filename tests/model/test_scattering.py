@@ -15,10 +15,11 @@ from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.model.scattering import (
     effective_fractions,
     effective_sample_size,
+    rows_for_band,
     sampling_groups,
     scattering_weights,
 )
-from roomfit.model.weighing import energy_rows, weigh
+from roomfit.model.weighing import EnergyRows, energy_rows, regrouped_rows, weigh
 from roomfit.room.scene import scene_of as roomfit_scene_of
 from roomfit.room.scene import shoebox_room
 from roomfit.tracing.paths import Paths, TraceSettings, hits
@@ -36,9 +37,28 @@ def paths() -> Paths:
     return trace(scene, settings, uniform_scattering(scene.room.materials, 0.3)).paths
 
 
+def rows_of(paths: Paths) -> list[EnergyRows]:
+    """Sort both pairs into windows."""
+    return [energy_rows(paths, pair, EDGES_S, SPEED_M_S) for pair in range(2)]
+
+
 def of(paths: Paths, s: FloatArray) -> Scattering:
     """Name the materials."""
     return Scattering(paths.materials, s)
+
+
+def test_rows_weighed_anew_are_the_rows_of_paths_weighed_anew(paths):
+    """Grouped into coarser windows as well."""
+    wanted = of(paths, np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.0]))
+    band, _ = rows_for_band(rows_of(paths), paths, wanted)
+    coarse, _ = rows_for_band(
+        [regrouped_rows(r, np.arange(0, r.n_windows, 3)) for r in rows_of(paths)], paths, wanted
+    )
+    for pair, rows in enumerate(band):
+        other = energy_rows(with_scattering(paths, wanted), pair, EDGES_S, SPEED_M_S)
+        np.testing.assert_array_equal(rows.weight_per_m2, other.weight_per_m2)
+        np.testing.assert_array_equal(coarse[pair].weight_per_m2, other.weight_per_m2)
+        assert rows.hits is not None
 
 
 TWO = np.array([[0.0, 0.1, 0.2, 0.3, 0.6, 1.0], [0.5, 0.1, 0.6, 0.3, 0.2, 1.0]])

@@ -137,6 +137,21 @@ def test_one_thread_and_two_give_the_same_bits() -> None:
     np.testing.assert_array_equal(parts.energy, weigh(rows, a, air)[1])
 
 
+def test_air_takes_exp_of_minus_m_d() -> None:
+    """A single path of 10 m in air of 0.1 per metre keeps 1/e."""
+    rows = EnergyRows(
+        ("wall",),
+        1,
+        np.array([0, 1]),
+        np.ones(1),
+        np.zeros((1, 1), dtype=np.uint16),
+        np.array([10.0]),
+        np.array([-1], dtype=np.int32),
+    )
+    energy = weigh(rows, np.zeros((1, 1)), np.array([0.1]))
+    np.testing.assert_allclose(energy, np.exp(-1.0), rtol=1e-15)
+
+
 @given(SEED)
 def test_merged_rows_keep_energies_and_slopes(seed: int) -> None:
     """Without air, rows of equal window and hits are worth their sum."""
@@ -170,6 +185,27 @@ def test_merging_in_air_errs_by_the_stated_bound() -> None:
     assert len(merged) == 3
     error = 1.0 - weigh(merged, a, air)[0, 0] / exact
     assert 0.0 < error < 5e-5 * 1.02  # the next order adds a fraction of m D
+
+
+def test_batches_and_images_make_up_the_whole() -> None:
+    """Image paths are exact and belong to no batch."""
+    rows = random_rows(9)
+    a, air = table(9, 3, 2), np.array([0.0, 0.01])
+    batches = batch_energies(rows, a, air)
+    image = rows.batch < 0
+    offsets = np.concatenate(([0], np.cumsum(image)))[rows.offsets]
+    images = EnergyRows(
+        rows.materials,
+        rows.n_windows,
+        offsets,
+        rows.weight_per_m2[image],
+        rows.hits[image],
+        rows.length_m[image],
+        rows.batch[image],
+    )
+    total = batches.sum(axis=0) + weigh(images, a, air)
+    assert batches.shape == (8, 2, 5)
+    np.testing.assert_allclose(total, weigh(rows, a, air), rtol=1e-12)
 
 
 def test_bad_coefficients_are_refused() -> None:
@@ -230,6 +266,24 @@ def test_a_directed_source_in_one_pass_equals_row_by_row(
     assert np.all(np.abs(found - expected) <= 1e-12 * largest)
     alone = weigh_directed(rows, pattern, a, air, derivative=False)
     np.testing.assert_array_equal(alone[:, 0], found[:, 0])
+
+
+@given(SEED)
+def test_slopes_of_a_directed_source_are_those_of_finite_differences(seed: int) -> None:
+    """By b: central differences of a smooth function, third derivatives of order one."""
+    rows, a = random_rows(seed), np.random.default_rng(seed).uniform(0.05, 0.9, 3)
+    pattern = drawn_pattern(seed, len(rows), single=False)
+    found = weigh_directed(rows, pattern, a, 0.003)
+    h = 1e-5
+    for k, step in enumerate(h * np.eye(3)):
+        high, low = (
+            weigh_directed(rows, RowPattern(pattern.b + s * step, pattern.basis), a, 0.003)[:, 0]
+            for s in (1.0, -1.0)
+        )
+        more, less = (weigh_directed(rows, pattern, a + s * step, 0.003)[:, 0] for s in (1.0, -1.0))
+        largest = np.abs(found).max()
+        np.testing.assert_allclose(found[:, 4 + k], (high - low) / (2 * h), atol=1e-7 * largest)
+        np.testing.assert_allclose(found[:, 1 + k], (more - less) / (2 * h), atol=1e-7 * largest)
 
 
 @given(SEED, st.booleans(), st.booleans())
