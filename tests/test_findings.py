@@ -54,21 +54,13 @@ def test_the_documentation_says_of_every_code_in_order_what_it_means():
 
 def test_these_findings_and_no_others_void_identifiability():
     """Each of them says that the description of the whole room is in doubt."""
-    assert {code.value for code in Code if code.voids_identifiability} == {
-        "coordinates-scaled",
-        "decay-bent",
-        "noise-gated",
-        "exchanged",
-        "levels-apart",
-        "recordings-late",
-        "recording-of-two-pairs",
-        "displacement-detected",
-        "model-misfit-all-bands",
-        "reflection-delay-detected",
-        "position-inconsistent",
-        "wall-position-mismatch",
-        "source-not-omnidirectional",
-        "scattering-underestimated",
+    found = {code.value for code in Code if code.voids_identifiability}
+    assert found == {
+        *("coordinates-scaled", "decay-bent", "noise-gated", "exchanged", "levels-apart"),
+        *("recordings-late", "recording-of-two-pairs", "displacement-detected"),
+        *("model-misfit-all-bands", "reflection-delay-detected", "position-inconsistent"),
+        *("wall-position-mismatch", "source-not-omnidirectional"),
+        *("scattering-underestimated",),
     }
 
 

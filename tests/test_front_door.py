@@ -89,14 +89,8 @@ def test_importing_the_front_door_imports_no_other_package():
 @pytest.mark.slow
 def test_a_check_of_recordings_loads_no_pictures_and_no_statistics():
     """Half of its time were packages that it does not use."""
-    heavy = (
-        "matplotlib",
-        "jinja2",
-        "scipy.stats",
-        "scipy.signal",
-        "scipy.optimize",
-        "scipy.spatial",
-    )
+    parts = ("stats", "signal", "optimize", "spatial")
+    heavy = ("matplotlib", "jinja2", *(f"scipy.{part}" for part in parts))
     program = (
         "import sys, roomfit.cli.check, roomfit.checks.usable, roomfit.report.check\n"
         f"print([m for m in {heavy} if m in sys.modules])"

@@ -29,12 +29,13 @@ from roomfit.design.choose import (
     choose,
     information_of,
     interval_widths,
+    material_widths,
     random_design,
     score,
 )
 from roomfit.design.output import design_content
 from roomfit.design.positions import Design
-from roomfit.design.prior import Unknowns
+from roomfit.design.prior import Unknowns, information_from_priors
 from roomfit.files.campaign import Campaign
 from roomfit.paper.room import paper_scene
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -142,6 +143,21 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
     assert not allowed(rules, [5])[5]
     with pytest.raises(InputError, match="leave no position"):
         choose(known, found, rules._replace(most_sources=1), 25, "mean", rng=fresh())
+
+
+def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
+    known = Unknowns(
+        np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
+        np.zeros(1), np.ones(1),
+    )  # fmt: skip
+    widths = material_widths(known, known.information)
+    # a standard normal logit reaches from 1/(1+e^1.96) to 1/(1+e^-1.96)
+    np.testing.assert_allclose(widths[0], np.tanh(1.959963984540054 / 2.0), rtol=1e-12)
+    assert widths[2].tolist() == widths[0].tolist() and widths[1].tolist() == [0.0, 0.0]
+    with pytest.raises(InputError, match="no absorption is left"):
+        octave = roomfit.bands_between("octave", 1000, 1000)
+        known_wall = roomfit.material_prior("wall", octave, absorption=0.2)
+        information_from_priors((known_wall,), octave, 1, fresh())
 
 
 # Positions.

@@ -450,3 +450,11 @@ def small_dxf() -> bytes:
 
 GOOD = {"room.geo": BOX.encode(), "hall.geo": (PARTS + HALL).replace("INCLUDE parts", "").encode()}
 GOOD["room.dxf"] = small_dxf()
+
+
+def test_long_chains_and_deep_brackets_end_in_an_error_and_not_in_a_crash(tmp_path):
+    deep = BOX.replace("1 11.00 5.00 0.00", "1 " + "(" * 5000 + "1" + ")" * 5000 + " 5 0")
+    chain = "CORNERS\n" + "".join(f"{k} x({k + 1}) 0 0\n" for k in range(3000))
+    for text, words in ((deep, "too many brackets"), (chain + "PLANES\n[1 a/0 1 2/b]", "circle")):
+        with pytest.raises(InputError, match=words):
+            read_mesh(RoomSpec(file=written(tmp_path, text)))

@@ -36,6 +36,16 @@ def plan(scattering: float, longest_s: float) -> TracePlan:
     return far_plan(scene, priors, longest_s, Settings())
 
 
+def test_image_sources_of_a_box_reach_as_far_as_so_many_fill_a_ball() -> None:
+    """They are as many as can be had: 60,000 a pair."""
+    for scattering in (0.0, 0.15):
+        long = plan(scattering, 2.0)
+        until_s = long.settings.image_until_s
+        assert until_s is not None
+        count = 4.0 / 3.0 * np.pi * (SPEED_M_S * until_s) ** 3 / np.prod(LENGTHS_M)
+        np.testing.assert_allclose(count, 60_000, rtol=1e-6)
+
+
 def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
     """Two hundred have 20,000 each for pressures, four million together; eight have their 60,000.
 

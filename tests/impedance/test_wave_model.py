@@ -332,3 +332,19 @@ def test_walls_of_every_law_are_causal_curves_or_nearly_so():
         r0 = r0_of_impedance(z)
         found = curve.r0(nearest(curve, r0, 1e-5))
         assert np.sqrt(np.mean(np.abs(found - r0) ** 2)) < most
+
+
+def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
+    """|R0| = .97 turned ahead as if it stood 10 mm nearer, and turned back.
+
+    The second is a wall set back, or one that yields; the first is what points moved away from a
+    wall look like, and no course of a density comes near it.
+    """
+    curve, k = strictly_causal(), 2.0 * np.pi * damped().real / 343.0
+    off = []
+    for moved_m in (0.01, -0.01):
+        r0 = 0.97 * np.exp(2j * k * moved_m)
+        found = curve.r0(nearest(curve, r0, 1e-5))
+        off.append(np.sqrt(np.mean(np.abs(found - r0) ** 2)))
+    assert off[0] > 0.08
+    assert off[1] < 0.02

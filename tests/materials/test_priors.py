@@ -15,6 +15,7 @@ from roomfit.materials.priors import (
     DEFAULT_MEAN,
     MaterialPrior,
     are_specified,
+    logit_normal,
     logit_prior,
     plain_logit_law,
     prior_logit_law,
@@ -143,3 +144,12 @@ def test_of_materials_of_a_product_the_law_of_the_unknown_is_that_given_the_know
     np.testing.assert_allclose(covariance[0][1], [0.0, common**2, 0.0, 0.0])
     plain = [unknown_material("x", 1), *(replace(p, specified=False) for p in panels)]
     assert are_specified(tuple(plain)).tolist() == [False, True, True, True, True]
+
+
+def test_draws_about_a_mean_are_expit_of_the_first_order_law_and_the_mean_without_spread():
+    mean, sd, z = np.array([0.2, 0.5, 1.0, 0.0]), np.array([0.1, 0.0, 0.0, 1e-5]), np.array([-1, 2])
+    found = logit_normal(mean, sd, z)
+    wanted = expit(logit(np.array(0.2)) + 0.1 / 0.16 * z)
+    np.testing.assert_allclose(found[:, 0], wanted)
+    np.testing.assert_array_equal(found[:, 1:3], [[0.5, 1.0]] * 2)
+    np.testing.assert_allclose(found[:, 3], expit(logit(np.array(1e-4)) + 1e-5 / 9.999e-5 * z))

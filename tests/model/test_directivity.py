@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_geometry, small_paths, small_term
-from roomfit.fit.directivity import band_information, cavity_priors
+from roomfit.base.bands import bands_between
+from roomfit.fit.directivity import (
+    CORRELATION_PER_OCTAVE,
+    band_information,
+    cavity_priors,
+    directivities_under_cavity_priors,
+)
 from roomfit.model.directivity import (
     BandDirectivities,
+    DirectivityParameters,
     UnknownDirectivities,
     directed,
     directivity_block,
@@ -168,6 +175,39 @@ def test_a_cavity_prior_is_the_posterior_without_the_band_s_own_data(seed: int) 
         own = slice(n * band, n * (band + 1))
         np.testing.assert_allclose(mean, m[own], atol=1e-9)
         np.testing.assert_allclose(covariance, c[own, own], atol=1e-9)
+
+
+def test_a_band_takes_over_what_the_other_says_of_b_as_far_as_octaves_are_correlated():
+    """Of two bands: the normal law of one given the other, by conditioning, in b itself."""
+    prior = UnknownDirectivities(("S",), np.array([0.1, 0.0, -0.2]), 0.5 * np.eye(3))
+    specified = DirectivityParameters(prior, np.array([0]), (None,))
+    bands = bands_between("octave", 500, 2000)
+    directed_by = BandDirectivities(unknown_source(), np.array([0]), (), (None,))
+    precision, z = np.diag([4.0, 9.0, 1e-9]), np.array([0.6, -0.3, 0.0])
+    vector = np.concatenate(([7.0], z))  # what comes before the directivity does not matter
+    information = np.eye(4)
+    information[1:, 1:] += precision
+    fit = BandFit(
+        *(vector, 0.0, 1.0, information, np.zeros(1), np.ones(1), np.zeros(1), 0.0, 1),
+        Ending.CONVERGED,
+    )
+    none, *two = directivities_under_cavity_priors(
+        specified, bands, (None, directed_by, directed_by), (None, fit, None)
+    )
+    assert none is None
+    own, other = (band.unknown for band in two if band is not None)
+    # the band itself: as specified, for the other has no fit
+    np.testing.assert_allclose(own.mean, [0.1, 0.0, -0.2], atol=1e-9)
+    np.testing.assert_allclose(own.root @ own.root.T, 0.25 * np.eye(3), rtol=1e-6)
+    # the other: the data alone have mean (1 + 1 / p) z, and the correlation is that of an octave
+    correlation, p = CORRELATION_PER_OCTAVE, np.diag(precision)
+    with np.errstate(divide="ignore"):
+        gain = correlation / (1.0 + 1.0 / p)
+    mean = gain * (1.0 + 1.0 / p) * z
+    variance = 1.0 - gain * correlation
+    np.testing.assert_allclose(other.mean, prior.mean + 0.5 * mean, atol=1e-6)
+    np.testing.assert_allclose(other.root @ other.root.T, 0.25 * np.diag(variance), atol=1e-6)
+    assert other.sources == ("S",)
 
 
 def test_a_band_s_information_is_marginal_over_its_other_unknowns() -> None:

@@ -19,6 +19,7 @@ from roomfit.model.energy import (
     EnergyTerm,
     Observation,
     late_shares,
+    model_variance,
     noise_and_model_variance,
     observation_variance,
     weighed,
@@ -82,6 +83,22 @@ def test_noise_scatters_as_filtered_white_noise_and_beats_with_the_signal():
         # a fixed stretch of noise is not quite flat: a tenth more
         tolerance = 0.2 if loudness == 0.0 else 0.3
         np.testing.assert_allclose(law, found.var(axis=0, ddof=1), rtol=tolerance)
+
+
+def test_the_error_of_the_model_is_a_share_of_what_is_expected_or_half_of_what_is_measured():
+    """A fifth of the larger; and a tenth of what may ring on from earlier windows."""
+    measured, signal = np.array([1.0, 1.0, 9.0]), np.array([2.0, 1.0, 2.0])
+    ringing = np.array([0.0, 1.0, 2.0])
+    found = total(model_variance(term(0.2, 0.1), measured, signal, ringing))
+    np.testing.assert_allclose(found, [0.16, 0.04 + 0.01, 0.81 + 0.04])
+    # and with noise: it is no part of what was measured
+    edges = 1e4 * np.array([0.0, 1.0, 2.0, 3.0])
+    noise = np.full(3, 5.0)
+    parts = noise_and_model_variance(term(0.2), observation(measured + noise, noise, edges), signal)
+    own = total(parts)
+    scattered = noise * (noise + 2.0 * signal) / (BANDWIDTH_HZ * 1e4)
+    np.testing.assert_allclose(own - scattered, [0.16, 0.04, 0.81], rtol=1e-9)
+    assert np.all(scattered < 1e-4)
 
 
 def test_energy_may_ring_on_into_later_windows_by_two_milliseconds():
@@ -167,16 +184,10 @@ def test_the_variance_by_rays_is_the_scatter_of_other_rays():
         drawn = rng.random((n_batches, n_bins)) < 0.2
         batch, bins = np.nonzero(drawn)
         order = np.argsort(bins, kind="stable")
-        rows = EnergyRows(
-            ("walls",),
-            n_bins,
-            np.concatenate(([0], np.cumsum(np.bincount(bins, minlength=n_bins)))),
-            np.ones(bins.size),
-            np.zeros((bins.size, 1), dtype=np.uint16),
-            np.zeros(bins.size),
-            batch[order].astype(np.int32),
-            n_batches,
-        )
+        offsets = np.concatenate(([0], np.cumsum(np.bincount(bins, minlength=n_bins))))
+        hits, length_m = np.zeros((bins.size, 1), dtype=np.uint16), np.zeros(bins.size)
+        each = (np.ones(bins.size), hits, length_m, batch[order].astype(np.int32))
+        rows = EnergyRows(("walls",), n_bins, offsets, *each, n_batches)
         total = weigh(rows, np.zeros((1, 1)), np.zeros(1))[0]
         found.append(observed.spreading @ total)
         if len(stated) < 60:

@@ -139,15 +139,8 @@ def test_one_thread_and_two_give_the_same_bits() -> None:
 
 def test_air_takes_exp_of_minus_m_d() -> None:
     """A single path of 10 m in air of 0.1 per metre keeps 1/e."""
-    rows = EnergyRows(
-        ("wall",),
-        1,
-        np.array([0, 1]),
-        np.ones(1),
-        np.zeros((1, 1), dtype=np.uint16),
-        np.array([10.0]),
-        np.array([-1], dtype=np.int32),
-    )
+    hits, batch = np.zeros((1, 1), dtype=np.uint16), np.array([-1], dtype=np.int32)
+    rows = EnergyRows(("wall",), 1, np.array([0, 1]), np.ones(1), hits, np.array([10.0]), batch)
     energy = weigh(rows, np.zeros((1, 1)), np.array([0.1]))
     np.testing.assert_allclose(energy, np.exp(-1.0), rtol=1e-15)
 
@@ -194,15 +187,8 @@ def test_batches_and_images_make_up_the_whole() -> None:
     batches = batch_energies(rows, a, air)
     image = rows.batch < 0
     offsets = np.concatenate(([0], np.cumsum(image)))[rows.offsets]
-    images = EnergyRows(
-        rows.materials,
-        rows.n_windows,
-        offsets,
-        rows.weight_per_m2[image],
-        rows.hits[image],
-        rows.length_m[image],
-        rows.batch[image],
-    )
+    each = (rows.weight_per_m2, rows.hits, rows.length_m, rows.batch)
+    images = EnergyRows(rows.materials, rows.n_windows, offsets, *(x[image] for x in each))
     total = batches.sum(axis=0) + weigh(images, a, air)
     assert batches.shape == (8, 2, 5)
     np.testing.assert_allclose(total, weigh(rows, a, air), rtol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.room.mesh import SHOEBOX_SURFACES, Mesh
+from roomfit.room.mesh import SHOEBOX_SURFACES, Mesh, refuse
 from roomfit.room.scene import (
     Point,
     axis_findings,
@@ -17,6 +17,7 @@ from roomfit.room.scene import (
     is_clear_of_walls,
     material_areas,
     material_areas_m2,
+    material_findings,
     materials_of_surfaces,
     object_pairs,
     pair_names,
@@ -126,6 +127,25 @@ def bare_box() -> Mesh:
         for s in mesh.surfaces
     )
     return replace(mesh, surfaces=surfaces)
+
+
+def test_surfaces_without_a_material_are_a_fault_with_their_number_area_and_first_place():
+    mesh = bare_box()
+    (found,) = material_findings(mesh, {})
+    assert "2 surfaces, 48.00 m2" in found.sentence
+    with pytest.raises(InputError) as refused:
+        refuse((found,))
+    # the first in the order of the mesh: corners (0, 0, 0), (6, 0, 0) and (6, 0, 3)
+    assert "'south' near (4.000, 0.000, 1.000) m" in str(refused.value)
+    assert '"south" = "plaster"' in str(refused.value)
+    points_m = np.array(found.about.points_m)
+    assert points_m.shape == (4, 3)
+    np.testing.assert_array_equal((points_m[:, 1] == 0.0) | (points_m[:, 2] == 0.0), True)
+    assert material_findings(mesh, {"floor": "carpet", "south": "plaster"}) == ()
+    with pytest.raises(InputError, match=r"does not exist(.|\n)*'roof'"):
+        material_findings(mesh, {"roof": "tiles"})
+    with pytest.raises(InputError, match="without a name"):
+        material_findings(mesh, {"floor": ""})
 
 
 def test_areas_of_materials_come_largest_first_and_those_of_sheets_twice():

@@ -167,13 +167,8 @@ def test_a_just_noticeable_difference_is_that_of_the_standard():
     """ISO 3382-1:2009, table A.1; T20 and T30 as EDT, C50 as C80."""
     for name in ("EDT_s", "T20_s", "T30_s"):
         np.testing.assert_allclose(jnd_of(name, np.array([0.4, 2.0])), [0.02, 0.1])
-    for name, step in (
-        ("C50_dB", 1),
-        ("C80_dB", 1),
-        ("D50_percent", 5),
-        ("TS_ms", 10),
-        ("G_dB", 1),
-    ):
+    steps = {"C50_dB": 1, "C80_dB": 1, "D50_percent": 5, "TS_ms": 10, "G_dB": 1}
+    for name, step in steps.items():
         np.testing.assert_array_equal(jnd_of(name, np.array([0.4, 2.0])), [step, step])
 
 
