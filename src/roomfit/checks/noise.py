@@ -161,15 +161,16 @@ def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | 
         files = [x for m in measured if (x := _levels(m, share)) is not None]
         if not files:
             continue
-        rate, sd, chi2, n_free = _least_squares(files, ring_per_s)
+        first_per_s = _least_squares(files, ring_per_s)[0]
         # over the line of the noise, reverberation falls by what it falls faster
-        slower_per_s = float(np.clip(rate, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        slower_per_s = float(np.clip(first_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        rate, sd, chi2, n_free = _least_squares(files, ring_per_s - slower_per_s)
         excess = [
             f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
             for f in files
         ]
         dispersion = max(chi2 / n_free, 1.0)
-        over_steady = 0.5 * (_steady_chi2(files, ring_per_s - slower_per_s) - chi2) / dispersion
+        over_steady = 0.5 * (_steady_chi2(files, ring_per_s) - chi2) / dispersion
         sd *= float(np.sqrt(dispersion))
         line = _Line(rate, sd, chi2, n_free, float(np.median(excess)), over_steady)
         if line.is_straight():
