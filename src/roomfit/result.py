@@ -24,7 +24,11 @@ from roomfit.materials.priors import (
     prior_logits,
 )
 from roomfit.settings import Settings
-from roomfit.uncertainty.posterior import AbsorptionPosterior, plain_logit_covariance
+from roomfit.uncertainty.posterior import (
+    AbsorptionPosterior,
+    FittedPair,
+    plain_logit_covariance,
+)
 
 if TYPE_CHECKING:
     from roomfit.base.table import Table
@@ -73,6 +77,7 @@ class ComparedPair:
     parameters: Mapping[str, Compared]  # and "G_dB", those that are known
     decay: Decay | None  # None where room parameters were measured and no response
     state: str = ""  # of the room; "": as it is described
+    distance_m: float = np.nan  # from source to receiver
 
 
 class ObjectAreas(NamedTuple):
@@ -443,7 +448,6 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     mean, law = plain_logit_law(priors)
     is_shared = any(k.product is not None or k.tied_to is not None for k in priors)
     draws = [b.draws for b in estimates if b.draws is not None]
-    fitted = [p for p in answer.pairs if p.use == "fit"]
     return AbsorptionPosterior(
         answer.scene.room.materials,
         answer.bands,
@@ -460,25 +464,28 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_specified=are_specified(priors),
         chi2_reduced=answer.chi2_reduced,
         draws=np.stack(draws, axis=2) if draws else None,
-        fitted_jnd=departures_jnd(
-            [{n: c.jnd for n, c in p.parameters.items()} for p in fitted], answer.bands
+        fitted=tuple(
+            fitted_pair(
+                (p.source, p.receiver, p.state, p.distance_m),
+                {n: (c.measured, c.predicted) for n, c in p.parameters.items()},
+                answer.bands,
+            )
+            for p in answer.pairs
+            if p.use == "fit"
         ),
         areas_m2=material_areas_m2(answer.scene.room),
-        fitted_states=tuple(sorted({p.state for p in fitted})),
         result_findings=answer.findings,
         objects=object_volumes_m3(priors),
     )
 
 
-def departures_jnd(tables: Sequence[Mapping[str, Any]], bands: Bands) -> FloatArray:
-    """Return departures of pairs by parameter as one array, (n_pairs, n_names, n_bands).
-
-    Names in the order of `VALUE_NAMES`; NaN where unknown.
-    """
-    unknown = np.full(len(bands), np.nan)
-    rows = [[table.get(name, unknown) for name in VALUE_NAMES] for table in tables]
-    shape = len(tables), len(VALUE_NAMES), len(bands)
-    return np.array(rows, dtype=np.float64).reshape(shape)
+def fitted_pair(
+    place: tuple[str, str, str, float], table: Mapping[str, Sequence[Any]], bands: Bands
+) -> FittedPair:
+    """Return a fitted pair from its names, distance, and (measured, predicted) by parameter."""
+    unknown = np.full((2, len(bands)), np.nan)
+    rows = np.array([table.get(name, unknown) for name in VALUE_NAMES], dtype=np.float64)
+    return FittedPair(*place, rows[:, 0], rows[:, 1])
 
 
 def result_doubts(

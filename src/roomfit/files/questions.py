@@ -39,7 +39,7 @@ from roomfit.predict.diffuse_field import (
 )
 from roomfit.predict.grid import grid_scene
 from roomfit.predict.question import Question, undoubted
-from roomfit.predict.split import for_another_room, for_another_state
+from roomfit.predict.split import for_another_room
 from roomfit.room.mesh import area_vectors_m2, is_double_sided, triangle_areas_m2, volume_m3
 from roomfit.room.scene import (
     Room,
@@ -122,13 +122,6 @@ def question_of_pairs(
         priors = room_priors(campaign, room, bands)
         directivities = source_directivities(campaign, bands)
         known = room_posterior(found, priors, bands, directivities, replaced=replaced)
-    fitted = found.fitted_states
-    if fitted is not None and state not in fitted:
-        names = ["", *campaign.states]
-        # of states of another campaign the areas are not known: those of the room as described
-        at = [i for i, name in enumerate(names) if name in fitted] or [0]
-        by_state = np.array([material_areas_m2(room, i) for i in at]).reshape(len(at), -1)
-        known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
         if not points:
             what, where = f"the campaign defines no {kind}", str(campaign.path)

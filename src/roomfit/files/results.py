@@ -38,7 +38,7 @@ from roomfit.files.encoding import (
 )
 from roomfit.files.tables import number_in
 from roomfit.materials.priors import object_absorption
-from roomfit.result import ComparedPair, Result, absorption_posterior, departures_jnd
+from roomfit.result import ComparedPair, Result, absorption_posterior, fitted_pair
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 _LOG = logging.getLogger("roomfit")
@@ -163,7 +163,6 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         }
         own.setdefault("logit_covariance", covariance_from_intervals(value, low, high))
         fitted = [pair for pair in content.get("pairs", ()) if pair["use"] == "fit"]
-        departures = [{k: c["jnd"] for k, c in p["parameters"].items()} for p in fitted]
         areas = [content.get("materials", {}).get(n, {}).get("area_m2") for n in table.names]
         scattering, of_objects = table.scattering, np.zeros((len(volumes_m3), len(table.bands)))
         found = [finding_of(one, "findings") for one in content.get("findings", ())]
@@ -178,12 +177,22 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
             directivities=_directivities(content.get("directivity", {})),
             by_pressures=fit.get("by_pressures"),
             chi2_reduced=fit.get("phi"),
-            fitted_jnd=departures_jnd(departures, table.bands) if fitted else None,
+            fitted=tuple(_fitted_pair(p, table.bands) for p in fitted),
             areas_m2=None if None in areas else np.array([*areas, *(0.0,) * len(volumes_m3)]),
-            fitted_states=tuple(sorted({str(p.get("state", "")) for p in fitted})) or None,
             result_findings=(*table.findings, *found),
             objects=volumes_m3,
         )
+
+
+def _fitted_pair(pair: Mapping[str, Any], bands: Bands) -> FittedPair:
+    place = (
+        pair["source"],
+        pair["receiver"],
+        pair.get("state") or "",
+        pair.get("distance_m", np.nan),
+    )
+    tables = pair["parameters"].items()
+    return fitted_pair(place, {n: (c["measured"], c["predicted"]) for n, c in tables}, bands)
 
 
 # Arrays of a posterior that are read again: their kind, and where their first axis of the file is
@@ -546,6 +555,7 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         "receiver": pair.receiver,
         "use": pair.use,
         "state": pair.state or None,
+        "distance_m": round(pair.distance_m, 4),
         "parameters": {
             name: {key: numbers_or_null(getattr(c, own)) for key, own in columns.items()}
             for name, c in pair.parameters.items()

@@ -91,11 +91,12 @@ def compare_all(
         return observed, chosen
     predicted = predicted_values(scene, bands, binned, absorption)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
-    rows = [predicted[pair_of[m.pair_name]] for m in tabulated]
+    at = [pair_of[m.pair_name] for m in tabulated]
+    rows, lengths_m = [predicted[i] for i in at], distances_m(scene)[at].tolist()
     tables = compared_values(tabulated, rows, measurements.values, bands)
     of_tables = tuple(
-        ComparedPair(m.source, m.receiver, m.use, table, None, m.state)
-        for m, table in zip(tabulated, tables, strict=True)
+        ComparedPair(m.source, m.receiver, m.use, table, None, m.state, length_m)
+        for m, table, length_m in zip(tabulated, tables, lengths_m, strict=True)
     )
     return observed + of_tables, chosen
 
@@ -109,6 +110,8 @@ def compare_pairs(
     by_pressures: BoolArray | None = None,
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every measurement, fitted or kept for validation."""
+
+    lengths_m = distances_m(scene).tolist()
 
     def at(times_s: FloatArray, curve: DecayCurve) -> FloatArray:
         """Return a curve in dB; NaN after its usable end."""
@@ -132,7 +135,8 @@ def compare_pairs(
         times_s = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
         noise_db = np.where(m.curve.noise_reached, -m.curve.usable_db, np.nan)
         decay = Decay(times_s, at(times_s, m.curve), at(times_s, curve), noise_db)
-        return ComparedPair(own.source, own.receiver, own.use, parameters, decay, own.state)
+        place = own.state, lengths_m[m.pair]
+        return ComparedPair(own.source, own.receiver, own.use, parameters, decay, *place)
 
     return tuple(in_forks(compared, measured))
 

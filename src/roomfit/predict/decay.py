@@ -9,6 +9,7 @@ import numpy as np
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.traced_room import TracedRoom
 from roomfit.model.reduced_rows import ReducedRows
+from roomfit.model.room_parameters import model_sd
 from roomfit.predict.prediction import PredictedDecay
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import VALUE_NAMES
@@ -30,8 +31,9 @@ class PairNumbers:
     # (n_names, n_bands), variance of the noise that no change of walls alters, of pressures beside
     # their energies and of the number of rays; after a change, covariance with the noise before
     common_noise: FloatArray
-    # (n_names, n_bands), on the error that the model is granted, see `roomfit.predict.misfit`
-    model_scale: FloatArray
+    # (n_names, n_bands), of an error that all pairs of a room share
+    shared_sd: FloatArray
+    scatter_sd: FloatArray  # as `noise_sd`, of a place at which nothing was measured
     # the speech transmission index as one name in one band, where the bands give it
     sti: PairNumbers | None = None
 
@@ -98,22 +100,27 @@ def pair_numbers(
     decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
     if sti_missing(room.bands):
         noise_sd, common = room.scatter(pair, absorption)
-        return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], np.ones(values.shape))
+        return PairNumbers(
+            values, drawn, noise_sd[:-1], decay, common[:-1], 0.0 * values, noise_sd[:-1]
+        )
     at_listener = (room.bands, modulation_transfer(curve), values[-1], speech_db)
     index = room_sti(*at_listener)
     of_draws = rows.sti(energies, found, speech_db)
     noise_sd, common = room.scatter(pair, absorption, room_sti_weights(*at_listener))
     # bands scatter by themselves; one trace serves all
+    sti_sd = np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None]
     sti = PairNumbers(
         index.reshape(1, 1),
         np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1),
-        np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None],
+        sti_sd,
         decay,
         common[-1:].sum(keepdims=True),
-        np.ones((1, 1)),
+        model_sd("STI", np.zeros((1, 1))),
+        sti_sd,
     )
-    ones = np.ones(values.shape)
-    return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], ones, sti)
+    return PairNumbers(
+        values, drawn, noise_sd[:-1], decay, common[:-1], 0.0 * values, noise_sd[:-1], sti
+    )
 
 
 def changed_numbers(

@@ -222,12 +222,10 @@ def field_values(
     first = np.where(is_measured, before_s / stated, first)
     last = np.where(is_measured, before_s * stated, last)
     unknown = np.full(len(before_s), np.nan)
-    carried = [np.where(is_measured, x, np.nan) for x in (after_s, low, high)]
     ratio = _bounds(drawn / drawn_before, np.zeros(len(before_s)))
     change = ValueChange(
         before_s, first, last, after_s / before_s,
         np.minimum(ratio[0], after_s / before_s), np.maximum(ratio[1], after_s / before_s),
-        *carried,
     )  # fmt: skip
     if not is_changed:
         low, high = first, last

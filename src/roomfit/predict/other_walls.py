@@ -27,10 +27,10 @@ from roomfit.predict.decay import (
     pair_numbers,
     with_common_noise,
 )
-from roomfit.predict.misfit import with_misfit
+from roomfit.predict.measured import Anchor, anchored, anchors
 from roomfit.predict.prediction import Predicted, PredictedPair, PredictedValue, change_findings
 from roomfit.predict.question import Question
-from roomfit.predict.split import open_splits, prior_dominated
+from roomfit.predict.split import prior_dominated
 from roomfit.predict.tables import (
     ObservedPair,
     observed_pairs,
@@ -57,7 +57,10 @@ class PreparedRoom:
     rng: np.random.Generator  # to be copied: equal changes are drawn alike
     observed: tuple[ObservedPair, ...]
     # of every pair, as it was found; none where some absorption is known after a change only
-    before: tuple[PairNumbers, ...]
+    model: tuple[PairNumbers, ...]  # by the model alone
+    anchors: tuple[Anchor, ...]
+    before: tuple[PairNumbers, ...]  # as it was measured, or is expected by other pairs
+    expected: tuple[PairNumbers, ...]  # by other pairs, whether it was measured or not
     few: tuple[ReducedRows, ...]  # of every pair
     base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
     base_sti: FloatArray  # (n_pairs,), likewise
@@ -82,7 +85,9 @@ def prepare_paths(
     speech_db = question.speech_db
     rng = np.random.default_rng(settings.seed)
     draws = draw_absorption(absorption, settings.n_draws, rng)
-    draws, dominated = _open_draws(scene, absorption, draws, alternatives, settings.seed)
+    areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
+    shares = absorption, draws, absorption.materials, areas_m2
+    dominated = prior_dominated(*shares, np.random.default_rng(settings.seed))
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, question.measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
@@ -93,38 +98,22 @@ def prepare_paths(
     base = [f.values(e) for f, e in zip(few, energies, strict=True)]
     base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
     room = PreparedRoom(
-        traced, absorption, draws, rng, observed, (), few,
+        traced, absorption, draws, rng, observed, (), (), (), (), few,
         np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
         dominated, settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
         return room
-    before = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
-    return replace(
-        room,
-        before=before,
-        observed=with_sti(scene, bands, observed, before, speech_db),
+    model = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
+    own = anchors(absorption, scene, model)
+    before, expected = (
+        tuple(anchored(n, n, a) for n, a in zip(model, moves, strict=True))
+        for moves in (own, [a.without_own() for a in own])
     )
-
-
-def _open_draws(
-    scene: Scene,
-    absorption: AbsorptionPosterior,
-    draws: FloatArray,
-    alternatives: Sequence[Sequence[Change]],
-    seed: int,
-) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return draws that hold what changes may do, and materials whose share the prior decides."""
-    first = int(pair_states(scene)[0])
-    states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
-    areas_m2 = np.stack([material_areas_m2(scene.room, s) for s in states])
-    rng, names = np.random.default_rng(seed), absorption.materials
-    dominated = prior_dominated(absorption, draws, names, areas_m2[0], rng)
-    changed = {c.material for one in alternatives for c in one}
-    if not changed:
-        return draws, dominated
-    own = [f for f in dominated if changed & set(f.about.materials)]
-    return open_splits(absorption, draws, own, areas_m2, seed), dominated
+    observed = with_sti(scene, bands, observed, before, speech_db)
+    return replace(
+        room, observed=observed, model=model, anchors=own, before=before, expected=expected
+    )
 
 
 def _least_absorption(
@@ -159,8 +148,7 @@ def _exact_numbers(
             shown((i + 1) / n_pairs)
         return one
 
-    numbers = tuple(in_forks(of_pair, range(n_pairs)))
-    return with_misfit(numbers, room.absorption.fitted_jnd, room.traced.by_pressures)
+    return tuple(in_forks(of_pair, range(n_pairs)))
 
 
 def numbers_at(
@@ -182,10 +170,26 @@ def numbers_at(
     def numbers(i: int) -> PairNumbers:
         base = room.base[i], room.base_sti[i]
         return changed_numbers(
-            room.before[i], room.few[i], absorptions, base, room.speech_db, room.latest[i]
+            room.model[i], room.few[i], absorptions, base, room.speech_db, room.latest[i]
         )
 
-    return tuple(each_in_threads(numbers, len(room.few)))
+    after = tuple(each_in_threads(numbers, len(room.few)))
+    return _as_measured(room, after, absorption, draws)
+
+
+def _as_measured(
+    room: PreparedRoom, after: Sequence[PairNumbers], absorption: FloatArray, draws: FloatArray
+) -> tuple[PairNumbers, ...]:
+    """Return predictions by the model after a change as they begin with what was measured."""
+    found = room.absorption.absorption
+    # a factor of 1, or a material in place of itself, exchanges nothing
+    others = np.any(draws != room.draws, axis=(0, 2)) | np.any(absorption != found, axis=1)
+    # objects take energy from paths, and send none another way
+    others[len(others) - len(room.absorption.objects) :] = False
+    return tuple(
+        anchored(with_common_noise(new, old, few, found, absorption, others), old, anchor)
+        for new, old, few, anchor in zip(after, room.model, room.few, room.anchors, strict=True)
+    )
 
 
 def predict_paths(
@@ -203,20 +207,15 @@ def predict_paths(
     names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
     changed = [names.index(c.material) for c in changes]
     numbers: list[tuple[PairNumbers, ...]] = [room.before]
-    if changes and exact:
-        after = _exact_numbers(room, expected, drawn, progress)
-        numbers = [after, room.before] if room.before else [after]
-    elif changes:
+    if changes and not exact:
         numbers = [numbers_at(room, expected, drawn), room.before]
-    if len(numbers) > 1 and (compare_pairs or room.observed):  # what both states share
-        # a factor of 1, or a material in place of itself, exchanges nothing
-        others = np.any(drawn != room.draws, axis=(0, 2))
-        others |= np.any(expected != absorption.absorption, axis=1)
-        others[n:] = False  # objects take energy from paths, and send none another way
-        numbers[0] = tuple(
-            with_common_noise(after, before, few, absorption.absorption, expected, others)
-            for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
-        )
+    elif changes:
+        after = _exact_numbers(room, expected, drawn, progress)
+        if room.before:
+            numbers = [_as_measured(room, after, expected, drawn), room.before]
+        else:  # of walls that were fitted elsewhere
+            moves = anchors(replace(absorption, is_other_room=True), scene, after)
+            numbers = [tuple(anchored(n, n, a) for n, a in zip(after, moves, strict=True))]
     named = {c.material for c in changes}
     doubts += tuple(f for f in room.dominated if named & set(f.about.materials))
     pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
@@ -263,8 +262,10 @@ def _tables(
     scene, bands, observed = room.scene, room.absorption.bands, room.observed
     if not room.before:
         observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
-    means, sti = predicted_means(scene, numbers, observed)
-    pairs = predicted_pairs(scene, bands, numbers if compare_pairs else numbers[:1], observed)
+    expected = room.expected or numbers[0]
+    means, sti = predicted_means(scene, numbers, observed, expected)
+    of_pairs = [expected] if len(numbers) == 1 else numbers if compare_pairs else numbers[:1]
+    pairs = predicted_pairs(scene, bands, of_pairs, observed, expected)
     if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement
         pairs = tuple(

@@ -28,7 +28,6 @@ COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),
     *("predicted", "lower95", "upper95", "measured", "jnd", "mean_of_others"),
     *("before", "before_lower95", "before_upper95", "change", "change_lower95", "change_upper95"),
-    *("carried", "carried_lower95", "carried_upper95"),
 )
 _OF_A_CHANGE = COLUMNS[11:]
 

@@ -41,11 +41,6 @@ class ValueChange:
     change: FloatArray
     change_lower95: FloatArray
     change_upper95: FloatArray
-    # what was measured before, carried over by the change; a measurement after it is expected
-    # between the two, NaN where nothing was measured
-    carried: FloatArray
-    carried_lower95: FloatArray
-    carried_upper95: FloatArray
 
 
 # Of an energy: what is known of a level no better than by a factor of 2.

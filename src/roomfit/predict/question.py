@@ -90,8 +90,7 @@ def undoubted(
     says that all absorptions are wrong: intervals hold every split of the sum that was measured,
     but the sum itself may be wrong. Of a finding about some materials the split is.
     """
-    fitted = absorption.fitted_states
-    if not changes and (fitted is None or state in fitted):
+    if not changes and state in (absorption.fitted_states or (state,)):
         return bands, changes, ()
     void = [
         f

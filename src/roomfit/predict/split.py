@@ -1,8 +1,7 @@
 """How the absorption that was measured is split among walls, where the data do not say it.
 
 What a change does hangs on the share of what is changed in the absorption of the room before it. A
-decay determines the sum; where the prior alone decides the shares, or where the result is doubted,
-predictions must hold for every split that leaves the sum.
+decay determines the sum; where the prior alone decides the shares, a finding says so.
 """
 
 from __future__ import annotations
@@ -14,87 +13,22 @@ import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.checks.verdict import voids_walls
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.uncertainty.combinations import area_shares
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption, draw_prior
 
-# The exponent -log(1 - a) of what absorbs 95 %: a wall takes no larger share of the sum.
-_MOST_EXPONENT = 3.0
-# Of the sum of a state's own walls, where walls that it has in common with others take all of it.
-_LEAST_LEFT = 0.05
 # Areas that differ by less are those of one room described twice.
 _SAME_AREA = 0.05
-
-
-def doubted_walls(posterior: AbsorptionPosterior) -> BoolArray:
-    """Return of which materials findings take identifiability, (n_materials, n_bands)."""
-    void = [f for f in posterior.result_findings if voids_walls(f)]
-    centres = posterior.bands.centres_hz.tolist()
-    rows = [
-        [any(f.about.concerns(m, c) for f in void) for c in centres] for m in posterior.materials
-    ]
-    return np.array(rows, dtype=np.bool_).reshape(len(posterior.materials), len(centres))
-
-
-def open_splits(
-    posterior: AbsorptionPosterior,
-    draws: FloatArray,
-    dominated: Sequence[Finding],
-    areas_m2: FloatArray,
-    seed: int,
-) -> FloatArray:
-    """Return draws that hold what a change may do where the data do not say how walls share.
-
-    Every second draw has another split: one wall takes a share of the absorption of the room that
-    is drawn evenly from none to all, as far as 95 % absorption allows it; all others keep their
-    proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. The wall is
-    one of those that findings of the result doubt in the band, or of those of which the prior
-    decides.
-
-    Shapes: `draws` (n_draws, n_materials, n_bands), `areas_m2` (n_states, n_materials), what comes
-    back (n_draws, n_materials, n_bands).
-    """
-    found = draws.copy()
-    z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
-    is_doubted = doubted_walls(posterior)
-    for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
-        named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
-        open_ = np.array(named) | is_doubted[:, band]
-        left = np.diag(posterior.logit_covariance[band]) > 0.0
-        for state, areas in enumerate(areas_m2):
-            own, other = left & (areas > 0.0), ~left & (areas > 0.0)
-            walls = np.flatnonzero(own & open_)
-            left = left & ~own
-            for draw in range(1, len(draws) if walls.size else 0, 2):
-                total = _exponents(draws[draw, :, band], areas)
-                kept = _exponents(found[draw, :, band], areas)[other].sum()
-                which = walls[int(z[0, state, draw] * walls.size)] == np.flatnonzero(own)
-                sum_left = max(total.sum() - kept, _LEAST_LEFT * total[own].sum())
-                parts = _other_split(total[own], areas[own], which, z[1, state, draw], sum_left)
-                found[draw, own, band] = -np.expm1(-parts / areas[own])
-    return found
-
-
-def _exponents(absorption: FloatArray, areas_m2: FloatArray) -> FloatArray:
-    """Return ``-S log(1 - a)`` of every wall."""
-    return -areas_m2 * np.log1p(-np.minimum(absorption, 1.0 - 1e-9))
-
-
-def _other_split(
-    parts: FloatArray, areas_m2: FloatArray, wall: BoolArray, share: float, total: float
-) -> FloatArray:
-    """Return exponents of another sum, of which one wall has a share and others what is left."""
-    taken = share * min(total, _MOST_EXPONENT * float(areas_m2[wall].sum()))
-    rest = max(float(parts[~wall].sum()), 1e-12 * float(parts.sum()))
-    return np.where(wall, taken, parts * (total - taken) / rest)
 
 
 def for_another_room(
     posterior: AbsorptionPosterior, areas_m2: dict[str, float], n_draws: int, seed: int
 ) -> tuple[AbsorptionPosterior, tuple[Finding, ...]]:
-    """Return a result as it is to predict a room with other areas from, see `open_splits`."""
+    """Return a result as it is to predict a room with other areas from.
+
+    And what the prior alone says there of materials whose areas differ.
+    """
     own = posterior.areas_m2
     if own is None:
         return posterior, ()
@@ -103,29 +37,11 @@ def for_another_room(
     if not is_other.any():
         return posterior, ()
     # that its pressures add was seen in the room that was measured
-    posterior = replace(posterior, by_pressures=None)
+    posterior = replace(posterior, by_pressures=None, is_other_room=True)
     rng = np.random.default_rng(seed)
     draws = draw_absorption(posterior, n_draws, rng)
     changed = [name for name, other in zip(posterior.materials, is_other, strict=True) if other]
-    dominated = prior_dominated(posterior, draws, changed, own, rng)
-    if not dominated and not doubted_walls(posterior).any():
-        return posterior, ()
-    return replace(
-        posterior, draws=open_splits(posterior, draws, dominated, own[None], seed)
-    ), dominated
-
-
-def for_another_state(
-    posterior: AbsorptionPosterior, areas_m2: FloatArray, n_draws: int, seed: int
-) -> AbsorptionPosterior:
-    """Return a result as it is to predict a state that was not fitted from, see `open_splits`.
-
-    Shapes: `areas_m2` (n_states, n_materials).
-    """
-    if not doubted_walls(posterior).any():
-        return posterior
-    draws = draw_absorption(posterior, n_draws, np.random.default_rng(seed))
-    return replace(posterior, draws=open_splits(posterior, draws, (), areas_m2, seed))
+    return posterior, prior_dominated(posterior, draws, changed, own, rng)
 
 
 # A share that is known no better than this, and hardly better than before the measurement.

@@ -13,7 +13,6 @@ from roomfit.base.bands import Bands
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
 from roomfit.fit.measurements import observe
-from roomfit.model.room_parameters import model_sd
 from roomfit.predict.decay import PairNumbers
 from roomfit.predict.prediction import PredictedDecay, PredictedPair, PredictedValue, ValueChange
 from roomfit.room.scene import Scene, pair_names
@@ -88,8 +87,12 @@ def predicted_pairs(
     bands: Bands,
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[ObservedPair],
+    expected: Sequence[PairNumbers],
 ) -> tuple[PredictedPair, ...]:
-    """Return every pair of the scene, once for each of its measurements, or once without."""
+    """Return every pair of the scene, once for each of its measurements, or once without.
+
+    `expected`: before a change, by other pairs; a measurement stands beside it.
+    """
     found = []
     nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
     unknown = np.full((1, 1), np.nan)
@@ -98,21 +101,21 @@ def predicted_pairs(
         measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
         rows: list[ObservedPair | None] = [*measured] or [None]
         for m in rows:
-            values, sd, mean, index, mean_index = nothing, nothing, nothing, unknown, unknown
+            values, mean, index, mean_index = nothing, nothing, unknown, unknown
             if m is not None:
                 others = [o for o in observed_pairs if o.use == "fit" and o is not m]
-                values, sd, mean = m.values, m.sd, _mean([o.values for o in others], nothing.shape)
+                values, mean = m.values, _mean([o.values for o in others], nothing.shape)
                 index = np.full((1, 1), m.sti)
                 mean_index = _mean([np.array(o.sti) for o in others], (1, 1))
             use = None if m is None else m.use
             decay = _decay(states[0], m)
             if len(states) > 1:
                 decay = replace(decay, before_db=states[1].decay.predicted_db)
-            table = _table(VALUE_NAMES, states, values, sd, mean)
+            table = _table(VALUE_NAMES, states, values, mean, expected[i].values)
             of_speech = [n.sti for n in states if n.sti is not None]
             sti = None
             if of_speech:
-                sti = _table(("STI",), of_speech, index, np.zeros((1, 1)), mean_index)["STI"]
+                sti = _table(("STI",), of_speech, index, mean_index, of_speech[-1].values)["STI"]
             found.append(PredictedPair(source, receiver, use, table, decay, sti))
     return tuple(found)
 
@@ -121,6 +124,7 @@ def predicted_means(
     scene: Scene,
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[ObservedPair],
+    expected: Sequence[PairNumbers],
 ) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     of_pairs = [
@@ -128,24 +132,20 @@ def predicted_means(
     ]
     shape = numbers[0][0].values.shape
     measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
-    sd = np.nan_to_num([_mean([m.sd for m in own], shape) for own in of_pairs])
-    means = _mean_table(VALUE_NAMES, numbers, measured, sd)
-    of_speech = [[n.sti for n in of_state if n.sti is not None] for of_state in numbers]
+    means = _mean_table(VALUE_NAMES, (*numbers, expected), measured)
+    of_speech = [[n.sti for n in own if n.sti is not None] for own in (*numbers, expected)]
     if not of_speech[0]:
         return means, None
     index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
-    return means, _mean_table(("STI",), of_speech, index, np.zeros_like(index))["STI"]
+    return means, _mean_table(("STI",), of_speech, index)["STI"]
 
 
 def _mean_table(
-    names: Sequence[N],
-    numbers: Sequence[Sequence[PairNumbers]],
-    measured: FloatArray,
-    measured_sd: FloatArray,
+    names: Sequence[N], numbers: Sequence[Sequence[PairNumbers]], measured: FloatArray
 ) -> dict[N, PredictedValue]:
-    """Return the means of some parameters.
+    """Return the means of some parameters; the last numbers are those expected before.
 
-    Shapes: `measured, measured_sd` (n_pairs, n_names, n_bands).
+    Shapes: `measured` (n_pairs, n_names, n_bands).
     """
     chosen = np.isfinite(measured)
     for of_state in numbers:
@@ -153,19 +153,22 @@ def _mean_table(
     chosen |= ~chosen.any(axis=0)
     weights = chosen / chosen.sum(axis=0)
     observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
-    states = [
-        PairNumbers(
-            _weighted(weights, np.array([n.values for n in of_state])),
-            _weighted(weights[:, None], np.array([n.draws for n in of_state])),
-            np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
-            of_state[0].decay,
-            common_noise=_weighted(weights**2, np.array([n.common_noise for n in of_state])),
-            model_scale=of_state[0].model_scale,
-        )
-        for of_state in numbers
-    ]
-    sd = np.sqrt(_weighted(weights**2, measured_sd**2))
-    return _table(names, states, observed, sd, np.full_like(observed, np.nan))
+    *states, expected = [_mean_numbers(of_state, weights) for of_state in numbers]
+    return _table(names, states, observed, np.full_like(observed, np.nan), expected.values)
+
+
+def _mean_numbers(numbers: Sequence[PairNumbers], weights: FloatArray) -> PairNumbers:
+    """Return the mean of some pairs: of the room, of which the measured places are a sample."""
+    scatter_sd = np.sqrt(_weighted(weights**2, np.array([n.scatter_sd for n in numbers]) ** 2))
+    return PairNumbers(
+        _weighted(weights, np.array([n.values for n in numbers])),
+        _weighted(weights[:, None], np.array([n.draws for n in numbers])),
+        scatter_sd,
+        numbers[0].decay,
+        common_noise=_weighted(weights**2, np.array([n.common_noise for n in numbers])),
+        shared_sd=_weighted(weights, np.array([n.shared_sd for n in numbers])),
+        scatter_sd=scatter_sd,
+    )
 
 
 def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
@@ -182,30 +185,25 @@ def _table(
     names: Sequence[N],
     states: Sequence[PairNumbers],
     measured: FloatArray,
-    measured_sd: FloatArray,
     mean_of_others: FloatArray,
+    expected: FloatArray,
 ) -> dict[N, PredictedValue]:
     """Return predictions with their intervals, and what a change does where there are two states.
 
-    Shapes: `measured, measured_sd, mean_of_others` (n_names, n_bands).
+    Shapes: `measured, mean_of_others, expected` (n_names, n_bands).
     """
-    after = states[0]
-    table = {}
+    after, table = states[0], {}
     for row, name in enumerate(names):
-        # the model is wrong in the same way everywhere
-        error_sd = after.model_scale[row] * model_sd(name, after.values[row])
-        rest_sd = np.hypot(after.noise_sd[row], error_sd)
+        rest_sd = np.hypot(after.noise_sd[row], after.shared_sd[row])
         table[name] = PredictedValue(
             after.values[row],
             *_interval(name, after.values[row], after.draws[:, row], rest_sd),
             np.std(after.draws[:, row], axis=0),
             rest_sd,
             measured[row],
-            in_jnd(name, measured[row], states[-1].values[row]),
+            in_jnd(name, measured[row], expected[row]),
             mean_of_others[row],
-            _change(name, row, states, measured[row], measured_sd[row])
-            if len(states) > 1
-            else None,
+            _change(name, row, states) if len(states) > 1 else None,
         )
     return table
 
@@ -217,64 +215,30 @@ def without_jnd(table: Mapping[K, V]) -> dict[K, V]:
     }
 
 
-def _change(
-    name: str,
-    row: int,
-    states: Sequence[PairNumbers],
-    measured: FloatArray,
-    measured_sd: FloatArray,
-) -> ValueChange:
-    """Return what a change does, draw by draw: the error that both states share is in neither.
+def _change(name: str, row: int, states: Sequence[PairNumbers]) -> ValueChange:
+    """Return what a change does, draw by draw: what both states have in common is not in it.
 
-    Notes
-    -----
     The change is that of a measured value: what interference of both states does not share,
     ``s^2 + t^2 - 2 r s t``, is in its interval.
-
-    A measured value departs from its prediction by errors of the absorption and of the model, which
-    stay when walls change, and by how reflections interfere, which changes with them. The share
-    that is carried over is the coefficient of regression of the departure after on that before:
-    ``(c + m^2 + r s t) / (v + m^2 + s^2 + u^2)`` with v the variance of the draws before, c their
-    covariance with those after, m the model's error, s and t the scatter of both states and r its
-    correlation, u the stated standard deviation; of times in logarithms.
     """
-    after, before = states
-    old, new, drawn_old, drawn_new = (
-        before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
-    )  # fmt: skip
-    error_sd = before.model_scale[row] * model_sd(name, before.values[row])
-    sds = before.noise_sd[row], after.noise_sd[row], error_sd, measured_sd
-    in_ratios = name in FIT_RANGES_DB
-    scales = (old, new, old, measured) if in_ratios else (1.0,) * 4
+    (new, drawn_new, t), (old, drawn_old, s) = (
+        (n.values[row], n.draws[:, row], n.scatter_sd[row]) for n in states
+    )
+    before, both = states[1], states[0].common_noise[row]
     with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
-        s, t, model, stated = (sd / scale for sd, scale in zip(sds, scales, strict=True))
-        change, drawn = (
-            (new / old, drawn_new / drawn_old) if in_ratios else (new - old, drawn_new - drawn_old)
-        )
-        both = after.common_noise[row] / (scales[0] * scales[1])
-        x, y = (np.log(d) if in_ratios else d for d in (drawn_old, drawn_new))
-        shared = np.mean((x - x.mean(axis=0)) * (y - y.mean(axis=0)), axis=0) + model**2 + both
-        share = np.clip(shared / (x.var(axis=0) + model**2 + s**2 + stated**2), 0.0, 1.0)
-        rest = (1.0 - share) ** 2 * model**2 + t**2 + share**2 * (s**2 + stated**2)
-        rest_sd = np.sqrt(rest - 2.0 * share * both)
-        if in_ratios:
-            carried = new * (measured / old) ** share
-            carried_draws, rest_sd = drawn_new * (measured / drawn_old) ** share, rest_sd * carried
+        if name in FIT_RANGES_DB:
+            kind, change, drawn = _RATIO, new / old, drawn_new / drawn_old
+            s, t, both, scale = s / old, t / new, both / (old * new), change
         else:
-            carried = np.clip(new + share * (measured - old), *_range(name))
-            carried_draws = drawn_new + share * (measured - drawn_old)
-        apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * (change if in_ratios else 1)
-    ends = carried, carried  # unknown where nothing was measured
-    if np.isfinite(measured).any():
-        ends = _interval(name, carried, carried_draws, rest_sd)
+            kind, change, drawn, scale = "difference", new - old, drawn_new - drawn_old, 1.0
+        apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * scale
+    rest_sd = np.hypot(before.noise_sd[row], before.shared_sd[row])
     return ValueChange(
         old,
-        *_interval(name, old, drawn_old, np.hypot(sds[0], sds[2])),
+        *_interval(name, old, drawn_old, rest_sd),
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
-        *_interval(_RATIO if in_ratios else "difference", change, drawn, apart_sd),
-        carried,
-        *ends,
+        *_interval(kind, change, drawn, apart_sd),
     )
 
 

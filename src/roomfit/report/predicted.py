@@ -98,11 +98,7 @@ def decay_answer(
         text += f"; measured {number(earlier.mid_s(centres_hz)[0], 2)} s."
         return DecayAnswer(symbol, text, centres_hz, (earlier, later))
     c = v.change
-    is_carried = np.isfinite(c.carried)
-    predicted = (v.predicted, v.lower95, v.upper95)
-    carried = (c.carried, c.carried_lower95, c.carried_upper95)
-    each = zip(carried, predicted, strict=True)
-    later = Series(after, *(np.where(is_carried, own, model) for own, model in each))
+    later = Series(after, v.predicted, v.lower95, v.upper95)
     # where a measured mean has an interval of its own, it stands in place of a model's
     is_alone = is_measured & (c.before != v.measured)
     first = "measured before" if is_measured.all() else "predicted before"
@@ -155,8 +151,8 @@ _OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "re
 def describe(predicted: Predicted) -> Blocks:
     """Return the answer in a sentence and a few numbers, findings, means, and every pair.
 
-    Of a change each parameter has what was measured before, the model before and after, what was
-    measured carried over by the change, and the change, with their intervals.
+    Of a change each parameter has what was measured before, or is expected where nothing was, what
+    is expected after, and the change, with their intervals.
     """
     is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
     # by band why the absorption may be split otherwise among walls; "" where it may not
@@ -282,15 +278,17 @@ def parameter_rows(
         predicted = _with_bounds(decimals, v.predicted, v.lower95, v.upper95)
         lines = {"predicted": predicted, "measured": measured}
         if is_changed:
-            lines = {"measured": measured, "model after": predicted}
+            lines = {"measured": measured, "expected after": predicted}
         if is_changed and c is not None:
-            before = _with_bounds(decimals, c.before, c.before_lower95, c.before_upper95)
-            carried = _with_bounds(decimals, c.carried, c.carried_lower95, c.carried_upper95)
-            lines = {"measured before": measured, "model before": before}
-            lines |= {"model after": predicted, "carried over": carried}
+            lines = {"measured before": measured}
+            # means of fitted pairs are those measured
+            if not np.allclose(c.before, v.measured, rtol=1e-6):
+                before = (c.before, c.before_lower95, c.before_upper95)
+                lines["expected before"] = _with_bounds(decimals, *before)
+            lines["expected after"] = predicted
             lines |= dict([_change_cells(name, c, decimals, open_for)])
         if not has_measured:
-            of_measured = ("measured", "measured before", "carried over")
+            of_measured = ("measured", "measured before")
             lines = {what: cells for what, cells in lines.items() if what not in of_measured}
         heads = [title or label] + [""] * len(lines)
         rows += [

@@ -51,8 +51,8 @@ from roomfit.treat.arrangements import Treatment
 def change_figure(predicted: Predicted) -> Figure:
     """Return means over the pairs before and after a change, one panel a parameter, by band.
 
-    Beside each other in every band: measured before, model before, model after, and measured before
-    carried over by the model's change; bars are 95 % intervals.
+    Beside each other in every band: measured before, expected before and after the change; bars are
+    95 % intervals.
     """
     means = named_values(predicted.mean, predicted.sti)
     shown = [(n, label, means[n]) for n, label, _ in SHOWN if n in means]
@@ -69,19 +69,17 @@ def change_figure(predicted: Predicted) -> Figure:
             axes.set_xticks(at, ["125 to 8000"])
         series = (
             ("measured before", "black", v.measured, v.measured, v.measured),
-            ("model before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
-            ("model after", OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
-            ("measured before, carried over", OKABE_ITO[2],
-             c.carried, c.carried_lower95, c.carried_upper95),
-        )  # fmt: skip
+            ("expected before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
+            ("expected after", OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
+        )
         for i, (text, color, middle, low, high) in enumerate(series):
-            x = at + 0.16 * (i - 1.5)
+            x = at + 0.2 * (i - 1.0)
             axes.vlines(x, low, high, color=color, lw=1.6)
             axes.plot(x, middle, "o", color=color, ms=4, label=text)
         axes.set_title(label, fontsize=9, y=1.0)
     figure.supxlabel("frequency (Hz)", fontsize=10)
     words = "mean with " + literal("; ".join(predicted.changes), 80)
-    figure_legend(figure, 4, words, gaps_in=(0.5, 0.55))
+    figure_legend(figure, 3, words, gaps_in=(0.5, 0.55))
     return figure
 
 

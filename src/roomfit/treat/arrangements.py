@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, Progress
-from roomfit.predict.decay import moved
 from roomfit.predict.diffuse import PreparedField, field_values, in_rows
 from roomfit.predict.other_walls import numbers_at
 from roomfit.predict.predict import ChangingRoom
@@ -130,11 +129,10 @@ def treat(
     A surface that is covered in part has the area-weighted mean of what covers it and of itself,
     wherever the pieces hang: in a diffuse field its energy. The probability is of a measurement
     after the treatment: over common draws of what is not known of the room and of the products,
-    with interference, the number of rays and the error that `predict` grants its model. Of pairs
-    that were measured before, what was measured is carried over.
+    with interference, the number of rays and errors that pairs share, as `predict` has them.
     """
     check_range("the probability of meeting a target", probability, 0.5, 0.99)
-    in_words, room = _before_in_words(room), as_measured(room)
+    in_words = _before_in_words(room)
     problem = problem_of(room, surfaces, products, targets)
     known: dict[tuple[float, ...], _Outcome] = {}
 
@@ -202,32 +200,6 @@ def _before_in_words(room: ChangingRoom) -> str:
     return "measured before" if known.all() else "before, measured where it was"
 
 
-def as_measured(room: ChangingRoom) -> ChangingRoom:
-    """Return a room whose measured pairs have what was measured before any change.
-
-    What a treatment does to them is then carried over from there, and what the model says wrongly
-    of the room as it is cancels. A diffuse field keeps what was measured by itself.
-    """
-    if isinstance(room, PreparedField):
-        return room
-    before = []
-    for name, own in zip(pair_names(room.scene), room.before, strict=True):
-        rows = [o.values for o in room.observed if (o.source, o.receiver) == name[:2]]
-        values = own.values
-        if rows:
-            measured = np.ma.masked_invalid(rows).mean(axis=0)
-            values = np.where(np.isnan(values), np.nan, measured.filled(np.nan))
-            values = np.where(np.isnan(values), own.values, values)
-        sti = own.sti
-        index = [o.sti for o in room.observed if (o.source, o.receiver) == name[:2]]
-        if sti is not None and np.isfinite(index).any():
-            middle = np.full((1, 1), np.nanmean(index))
-            sti = replace(sti, values=middle, draws=middle + (sti.draws - sti.values))
-        drawn = moved(values, own.draws, own.values)
-        before.append(replace(own, values=values, draws=drawn, sti=sti))
-    return replace(room, before=tuple(before), observed=())
-
-
 class _Outcome(NamedTuple):
     """What an arrangement does, evaluated once for search, verdict and display."""
 
@@ -281,7 +253,7 @@ def _means_and_draws(
         drawn = in_rows(drawn_s)
         return (values, None), np.concatenate([drawn, np.full_like(drawn[:, :1], np.nan)], axis=1)
     after = numbers_at(room, absorption, draws)
-    means = predicted_means(room.scene, [after, room.before], ())
+    means = predicted_means(room.scene, [after, room.before], (), room.expected)
     drawn = np.asarray(np.ma.masked_invalid([n.draws for n in after]).mean(axis=0).filled(np.nan))
     index = np.full((len(drawn), 1, 1), np.nan)
     if means[1] is not None:

@@ -115,7 +115,11 @@ def room_posterior(
         chi2_reduced=in_bands(absorption.chi2_reduced),
         by_pressures=in_bands(absorption.by_pressures),
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
-        fitted_jnd=in_bands(absorption.fitted_jnd),
+        fitted=tuple(
+            p._replace(measured=p.measured[:, at], predicted=p.predicted[:, at])
+            for p in absorption.fitted
+        ),
+        is_other_room=absorption.is_other_room,
         findings=findings,
         result_findings=absorption.result_findings,
         objects=volumes_m3,

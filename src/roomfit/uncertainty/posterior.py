@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.logit import Z95, expit, logit
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.typing import VALUE_NAMES, BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior, shared_variance
 
 if TYPE_CHECKING:  # compiled, and no reader of a table needs it
@@ -22,6 +22,17 @@ if TYPE_CHECKING:  # compiled, and no reader of a table needs it
 
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
 _SMALLEST = 1e-6
+
+
+class FittedPair(NamedTuple):
+    """A pair that was fitted; values in the order of `VALUE_NAMES`, NaN where unknown."""
+
+    source: str
+    receiver: str
+    state: str  # of the room; "": as it is described
+    distance_m: float
+    measured: FloatArray  # (n_names, n_bands)
+    predicted: FloatArray  # likewise, by the fitted absorption
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +63,9 @@ class AbsorptionPosterior:
     # (n_draws, n_materials, n_bands), equally likely, drawn with the model itself; None: by
     # `draw_absorption` from the covariance
     draws: FloatArray | None = None
-    # (n_pairs, n_names, n_bands), predicted minus measured of the pairs that were fitted, in just
-    # noticeable differences, in the order of `VALUE_NAMES`; NaN where unknown. None: nothing known
-    fitted_jnd: FloatArray | None = None
+    fitted: tuple[FittedPair, ...] = ()  # the measured pairs from which the absorption was found
     areas_m2: FloatArray | None = None  # (n_materials,), in the room that was fitted
-    fitted_states: tuple[str, ...] | None = None  # of that room, "" as described; None: unknown
+    is_other_room: bool = False  # to be predicted, than the one that was fitted
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
     result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
     # of what among the materials is an object, the volume of the room: its absorption is
@@ -92,11 +101,12 @@ class AbsorptionPosterior:
         for name, size in (("by_pressures", m), ("prior_specified", n)):
             if (flags := getattr(self, name)) is not None:
                 checked(name, bool_array(name, flags, (size,)))
-        if self.fitted_jnd is not None:
-            departures = np.array(self.fitted_jnd, dtype=np.float64)
-            known = np.nan_to_num(departures)  # what is infinite is refused
-            float_array("departures of fitted pairs", known, (None, None, m), low=-1e6, high=1e6)
-            checked("fitted_jnd", read_only(departures))
+        for pair in self.fitted:
+            for values in (pair.measured, pair.predicted):
+                known = np.nan_to_num(values)  # what is infinite is refused
+                float_array(
+                    "values of fitted pairs", known, (len(VALUE_NAMES), m), low=-1e6, high=1e6
+                )
         covariance = self.logit_covariance
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -118,6 +128,11 @@ class AbsorptionPosterior:
                     needed=f"{m}",
                 )
         checked("directivities", MappingProxyType(dict(self.directivities or {})))
+
+    @property
+    def fitted_states(self) -> tuple[str, ...]:
+        """Of the room that was fitted, "" as described; none where its pairs are not known."""
+        return tuple(dict.fromkeys(p.state for p in self.fitted))
 
     @property
     def is_unknown(self) -> BoolArray:

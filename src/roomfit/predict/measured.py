@@ -1,0 +1,303 @@
+"""Predictions that begin with what was measured in a room, with intervals that its pairs show.
+
+A model's absolute prediction has all its errors in it. Those that a room's pairs share are seen in
+the pairs that were fitted, and leave every prediction of that room; what the model says of one
+place against another counts as far as it has told the fitted pairs apart, each from all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from roomfit.base.typing import FloatArray
+from roomfit.model.room_parameters import MODEL_ERROR_JND
+from roomfit.predict.decay import RELATIVE, PairNumbers
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Scene, distances_m, pair_names
+from roomfit.signals.decay import jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+# Of each parameter, one just noticeable difference: of times in their logarithm.
+_UNIT = np.array([float(jnd_of(name, np.ones(()))) for name in VALUE_NAMES])[:, None]
+_IS_TIME = RELATIVE[:, None]
+_DECAY = [VALUE_NAMES.index(name) for name in ("T30_s", "T20_s", "EDT_s")]
+# Standard deviation, in just noticeable differences, of an error that the pairs of a room share.
+_SHARED_SD = 0.5
+# What is known before any pair was measured counts as so many values: for how far the model tells
+# places apart better than the law of a diffuse field, and for how far values scatter.
+_WEIGHT_PRIOR, _SCATTER_PRIOR = 30.0, 6.0
+# A departure counts as no more than so many standard deviations: a single EDT of a few
+# milliseconds is no scatter of all pairs.
+_MOST_SDS = 4.0
+
+
+class Anchor(NamedTuple):
+    """How predictions of one pair are moved, in just noticeable differences, (n_names, n_bands)."""
+
+    shift: FloatArray  # of every prediction, by what other pairs depart from theirs
+    own: FloatArray  # what the pair itself was measured beyond that, 0 where it was not
+    is_own: FloatArray  # 1 where it was measured, else 0
+    scatter: FloatArray  # on the variance of the noise
+    shared_sd: FloatArray  # of the error that all pairs share
+    kept: FloatArray  # of what a draw of the walls changes before a change: the share it cancels
+
+    def without_own(self) -> Anchor:
+        """Return how a prediction is moved by the other pairs alone."""
+        return self._replace(own=0.0 * self.own, is_own=0.0 * self.is_own)
+
+
+def in_units(values: FloatArray) -> FloatArray:
+    """Return room parameters (..., n_names, n_bands), times as logarithms, in noticeable steps."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+        logs = np.log(np.where(_IS_TIME, values, 1.0))
+    return np.asarray(np.where(_IS_TIME, logs, values) / _UNIT)
+
+
+def from_units(values: FloatArray) -> FloatArray:
+    """Return the inverse of `in_units`, within the range of each parameter."""
+    scaled = values * _UNIT
+    found = np.where(_IS_TIME, np.exp(np.where(_IS_TIME, scaled, 0.0)), scaled)
+    for name, most in (("D50_percent", 100.0), ("TS_ms", np.inf)):
+        row = VALUE_NAMES.index(name)
+        found[..., row, :] = np.clip(found[..., row, :], 0.0, most)
+    return found
+
+
+def diffuse_values(decay_s: FloatArray, volume_m3: float, distance_m: FloatArray) -> FloatArray:
+    """Return room parameters by the revised theory of Barron and Lee [1]_, (n, n_names, n_bands).
+
+    Shapes: `decay_s` (n_bands,), `distance_m` (n,). All decay times are the given one.
+
+    References
+    ----------
+    .. [1] M. Barron, L.-J. Lee, "Energy relations in concert auditoriums. I", J. Acoust. Soc. Am.
+           84, 618-628 (1988).
+    """
+    r, t = distance_m[:, None], decay_s[None]
+    direct, reverberant = 100.0 / r**2, 31200.0 * t / volume_m3 * np.exp(-0.04 * r / t)
+    total = direct + reverberant
+    early_50, early_80 = (direct - reverberant * np.expm1(-13.8 * s / t) for s in (0.05, 0.08))
+    found = {
+        "C50_dB": 10.0 * np.log10(early_50 / (total - early_50)),
+        "C80_dB": 10.0 * np.log10(early_80 / (total - early_80)),
+        "D50_percent": 100.0 * early_50 / total,
+        "TS_ms": 1000.0 * reverberant * t / 13.8 / total,
+        "G_dB": 10.0 * np.log10(total),
+    }
+    times = np.broadcast_to(t, total.shape)
+    return np.stack([found.get(name, times) for name in VALUE_NAMES], axis=1)
+
+
+class _State(NamedTuple):
+    """Fitted pairs of one state of a room."""
+
+    names: tuple[tuple[str, str], ...]
+    measured: FloatArray  # (n_pairs, n_names, n_bands), as `in_units`
+    off: FloatArray  # (2, n_pairs, n_names, n_bands), from the model and from a diffuse field
+    decay_s: FloatArray  # (n_bands,)
+
+
+def _states(known: AbsorptionPosterior, volume: float) -> dict[str, _State]:
+    """Return the fitted pairs by state."""
+    found = {}
+    for state in dict.fromkeys(p.state for p in known.fitted):
+        own = [p for p in known.fitted if p.state == state]
+        measured = in_units(np.array([p.measured for p in own]))
+        means = from_units(_mean(measured))[_DECAY]
+        decay_s = next((m for m in means if np.isfinite(m).any()), means[0])
+        distance_m = np.array([p.distance_m for p in own])
+        by_model = in_units(np.array([p.predicted for p in own]))
+        off = measured - [by_model, in_units(diffuse_values(decay_s, volume, distance_m))]
+        names = tuple((p.source, p.receiver) for p in own)
+        found[state] = _State(names, measured, off, decay_s)
+    return found
+
+
+def anchors(
+    known: AbsorptionPosterior, scene: Scene, numbers: Sequence[PairNumbers]
+) -> tuple[Anchor, ...]:
+    """Return how predictions of the pairs of a scene, all in one state, begin with measurements.
+
+    Notes
+    -----
+    Measured values y of fitted pairs depart from the model f by an error e that they share, of the
+    prior variance ``v = (0.5 jnd)^2``, and by noise of the variance s^2, of interference and rays:
+    e is the share ``n v / (n v + s^2)`` of their mean departure. Likewise they depart from the law
+    d of a diffuse field with the measured decay time (`diffuse_values`). A pair that was not
+    fitted is expected at ``w (f + e) + (1 - w) (d + e')``. Over all bands, and either decay times
+    or all else, w explains the fitted pairs best, each by the others alone [1]_; what is left of
+    these departures gives the scatter. A state of the room that was not fitted has no such law,
+    and the mean error of the fitted ones.
+
+    References
+    ----------
+    .. [1] D. H. Wolpert, "Stacked generalization", Neural Networks 5, 241-259 (1992).
+    """
+    names, values = pair_names(scene), in_units(np.array([n.values for n in numbers]))
+    noise = _mean(np.array([_noise_in_units(n) for n in numbers]) ** 2)
+    nothing, state = np.zeros(noise.shape), names[0][2]
+    if not known.fitted:
+        model = np.full(noise.shape, MODEL_ERROR_JND)
+        return (Anchor(nothing, nothing, nothing, nothing + 1.0, model, nothing),) * len(names)
+    volume = volume_m3(scene.room.mesh)
+    states = _states(known, volume)
+    errors = {s: _shared_errors(own.off, noise) for s, own in states.items()}
+    left = {s: own.off - errors[s][1] for s, own in states.items()}
+    weight = _weights(np.concatenate(list(left.values()), axis=1), noise)
+    rest = {s: _mixed(off, weight) for s, off in left.items()}
+    scatter = _scatter(np.concatenate(list(rest.values())), noise)
+    if known.is_other_room or state not in states:
+        kept = np.mean([_share(_count(own.off[0]), noise) for own in states.values()], axis=0)
+        each = np.array([e[0][0] for e in errors.values()])
+        shift = nothing if known.is_other_room else each.mean(axis=0)
+        least = MODEL_ERROR_JND if known.is_other_room else _SHARED_SD
+        between = (least**2 + np.sum((each - shift) ** 2, axis=0)) / len(each)
+        shared = np.sqrt(between + scatter * (1.0 - kept) * _SHARED_SD**2)
+        return (Anchor(shift, nothing, nothing, scatter, shared, kept),) * len(names)
+    here, kept = states[state], _share(_count(states[state].off[0]), noise)
+    shared = np.sqrt(scatter * (1.0 - kept)) * _SHARED_SD
+    # what walls leave open between two places, departures of two pairs and more show by themselves
+    kept = np.where(_count(states[state].off[0]) > 1.0, 1.0, kept)
+    law = in_units(diffuse_values(here.decay_s, volume, distances_m(scene)))
+    expected = _mixed(np.stack([values, law]) + errors[state][0][:, None], weight)
+    found = []
+    for i, name in enumerate(names):
+        shift, own, is_own = expected[i] - values[i], nothing, nothing
+        rows = [k for k, other in enumerate(here.names) if other == name[:2]]
+        if rows:  # by the other pairs: what is expected at a place that is not its own witness
+            alone = _mean((here.off[0] - rest[state])[rows])
+            measured = _mean(here.measured[rows])
+            is_known = np.isfinite(measured) & np.isfinite(alone)
+            shift = np.where(is_known, alone, shift)
+            own = np.where(is_known, measured - values[i] - shift, 0.0)
+            is_own = is_known.astype(np.float64)
+        found.append(Anchor(np.nan_to_num(shift), own, is_own, scatter, shared, kept))
+    return tuple(found)
+
+
+def anchored(after: PairNumbers, before: PairNumbers, anchor: Anchor) -> PairNumbers:
+    """Return predictions of a pair that begin with what was measured before walls changed.
+
+    Errors that the walls leave stay with it; of what its own measurement departs, as much as its
+    noise has in common with that before. Where nothing changed, `after` is `before`.
+    """
+    first, noise = in_units(before.values), _noise_in_units(before)
+    same = np.ones(first.shape)
+    if after is not before:
+        unit = _unit_at(after.values) * _unit_at(before.values)
+        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values, no noise
+            same = np.nan_to_num(np.clip(after.common_noise / unit / noise**2, 0.0, 1.0), nan=1.0)
+    shift = anchor.shift + same * anchor.own
+    values = from_units(in_units(after.values) + shift)
+    drawn_off = anchor.kept * (in_units(before.draws) - first)
+    draws = from_units(in_units(after.draws) + shift - drawn_off)
+    left = 1.0 - anchor.is_own * same**2
+    scatter_sd = after.noise_sd * np.sqrt(anchor.scatter)
+    sti = after.sti
+    if sti is not None:  # early against late energy, too, over all octaves
+        of_speech = float(np.nanmean(anchor.scatter[VALUE_NAMES.index("D50_percent")]))
+        sti_sd = sti.noise_sd * np.sqrt(of_speech)
+        sti = replace(sti, noise_sd=sti_sd, scatter_sd=sti_sd)
+    return replace(
+        after,
+        values=values,
+        draws=draws,
+        noise_sd=scatter_sd * np.sqrt(left),
+        common_noise=after.common_noise * anchor.scatter,
+        shared_sd=anchor.shared_sd * (1.0 - anchor.is_own * same) * _unit_at(values),
+        scatter_sd=scatter_sd,
+        sti=sti,
+    )
+
+
+def _unit_at(values: FloatArray) -> FloatArray:
+    """Return a just noticeable difference of room parameters, in their own units."""
+    return np.asarray(np.where(_IS_TIME, values, 1.0) * _UNIT)
+
+
+def _noise_in_units(numbers: PairNumbers) -> FloatArray:
+    return np.asarray(numbers.noise_sd / _unit_at(numbers.values))
+
+
+def _count(off: FloatArray) -> FloatArray:
+    return np.asarray(np.isfinite(off).sum(axis=0), dtype=np.float64)
+
+
+def _share(count: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the share of a mean over some departures that is due to the error they share."""
+    return np.asarray(count * _SHARED_SD**2 / (count * _SHARED_SD**2 + noise))
+
+
+def _shared_errors(off: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the error that departures share, by all of them and by the others of each.
+
+    Shapes: `off` (2, n_pairs, n_names, n_bands), what comes back (2, n_names, n_bands) and as it.
+    """
+    known = np.isfinite(off)
+    count, total = known.sum(axis=1), np.where(known, off, 0.0).sum(axis=1)
+    others = count[:, None] - known
+    of_others = (total[:, None] - np.where(known, off, 0.0)) / np.maximum(others, 1)
+    return _share(count, noise) * total / np.maximum(count, 1), _share(others, noise) * of_others
+
+
+def _weights(left: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the weight of the model by parameter, against a diffuse field, (n_names, 1).
+
+    Shapes: `left` (2, n_pairs, n_names, n_bands), departures of each pair by the other pairs.
+    """
+    own, apart = left[1] / np.sqrt(noise), (left[1] - left[0]) / np.sqrt(noise)
+    known = np.isfinite(own * apart)
+    own, apart = np.where(known, own, 0.0), np.where(known, apart, 0.0)
+    found = np.ones(len(RELATIVE))
+    for rows in (RELATIVE, ~RELATIVE):
+        size, count = float(np.sum(apart[:, rows] ** 2)), float(known[:, rows].sum())
+        if size > 0.0:
+            prior = _WEIGHT_PRIOR * size / count
+            slope = (float(np.sum((own * apart)[:, rows])) + 0.5 * prior) / (size + prior)
+            found[rows] = np.clip(slope, 0.0, 1.0)
+    return found[:, None]
+
+
+def _mixed(of_both: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the model's and the diffuse field's values as one; the model's where that has none."""
+    model, diffuse = of_both
+    return np.asarray(
+        np.where(np.isfinite(diffuse), weight * model + (1.0 - weight) * diffuse, model)
+    )
+
+
+def _scatter(rest: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return by which factor departures scatter more than noise, in variance, (n_names, n_bands).
+
+    The mean of its posterior under an inverse chi-square prior [1]_: of a band about that of its
+    parameter, of this about that of its kind, and of that about the theory of the noise.
+
+    References
+    ----------
+    .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed. (2013), section 2.6.
+    """
+    squares = np.minimum(rest**2 / noise, _MOST_SDS**2)
+    known = np.isfinite(squares)
+    count, total = known.sum(axis=0), np.where(known, squares, 0.0).sum(axis=0)
+
+    def about(prior: FloatArray | float, sums: FloatArray, counts: FloatArray) -> FloatArray:
+        return np.asarray((_SCATTER_PRIOR * prior + sums) / (_SCATTER_PRIOR + counts))
+
+    found = np.empty(noise.shape)
+    for rows in (RELATIVE, ~RELATIVE):
+        of_kind = about(1.0, total[rows].sum(), count[rows].sum())
+        of_name = about(of_kind, total[rows].sum(axis=1), count[rows].sum(axis=1))
+        found[rows] = about(of_name[:, None], total[rows], count[rows])
+    return found
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Return the mean over the first axis of what is known, NaN where nothing is."""
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):  # nothing is known
+        return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))
