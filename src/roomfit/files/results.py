@@ -39,7 +39,11 @@ from roomfit.files.encoding import (
 from roomfit.files.tables import number_in
 from roomfit.materials.priors import object_absorption
 from roomfit.result import ComparedPair, Result, absorption_posterior, fitted_pair
-from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
+from roomfit.uncertainty.posterior import (
+    AbsorptionPosterior,
+    FittedPair,
+    covariance_from_intervals,
+)
 
 _LOG = logging.getLogger("roomfit")
 

@@ -35,6 +35,8 @@ _WEIGHT_PRIOR, _SCATTER_PRIOR = 30.0, 6.0
 # milliseconds is no scatter of all pairs.
 _MOST_SDS = 4.0
 
+_SAME_PLACE_M = 0.05
+
 
 class Anchor(NamedTuple):
     """How predictions of one pair are moved, in just noticeable differences, (n_names, n_bands)."""
@@ -97,6 +99,7 @@ class _State(NamedTuple):
     """Fitted pairs of one state of a room."""
 
     names: tuple[tuple[str, str], ...]
+    distance_m: FloatArray  # (n_pairs,)
     measured: FloatArray  # (n_pairs, n_names, n_bands), as `in_units`
     off: FloatArray  # (2, n_pairs, n_names, n_bands), from the model and from a diffuse field
     decay_s: FloatArray  # (n_bands,)
@@ -114,7 +117,7 @@ def _states(known: AbsorptionPosterior, volume: float) -> dict[str, _State]:
         by_model = in_units(np.array([p.predicted for p in own]))
         off = measured - [by_model, in_units(diffuse_values(decay_s, volume, distance_m))]
         names = tuple((p.source, p.receiver) for p in own)
-        found[state] = _State(names, measured, off, decay_s)
+        found[state] = _State(names, distance_m, measured, off, decay_s)
     return found
 
 
@@ -163,12 +166,15 @@ def anchors(
     shared = np.sqrt(scatter * (1.0 - kept)) * _SHARED_SD
     # what walls leave open between two places, departures of two pairs and more show by themselves
     kept = np.where(_count(states[state].off[0]) > 1.0, 1.0, kept)
-    law = in_units(diffuse_values(here.decay_s, volume, distances_m(scene)))
+    distance_m = distances_m(scene)
+    law = in_units(diffuse_values(here.decay_s, volume, distance_m))
     expected = _mixed(np.stack([values, law]) + errors[state][0][:, None], weight)
     found = []
     for i, name in enumerate(names):
         shift, own, is_own = expected[i] - values[i], nothing, nothing
-        rows = [k for k, other in enumerate(here.names) if other == name[:2]]
+        # the same names at other places are another pair
+        near = np.abs(here.distance_m - distance_m[i]) < _SAME_PLACE_M
+        rows = [k for k, other in enumerate(here.names) if other == name[:2] and near[k]]
         if rows:  # by the other pairs: what is expected at a place that is not its own witness
             alone = _mean((here.off[0] - rest[state])[rows])
             measured = _mean(here.measured[rows])
