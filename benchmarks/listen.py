@@ -8,7 +8,7 @@ response of state 000 is made into one of state 100 by the absorption that was f
 walls with their panels turned.
 
 Printed by octave, judged from 250 Hz up since below single modes decide: EDT, T20, T30 and C50 of
-the made responses beside what is predicted of them (measured in 000, carried over by the change,
+the made responses beside what is predicted of them (measured in 000, and the change,
 and by the model alone) and beside what was measured in 100. --out writes WAV files of both states
 and of the made one.
 """
@@ -24,7 +24,7 @@ import numpy as np
 import soundfile
 
 import roomfit
-from known_changes import BANDS, JUDGED_HZ, change_of, fitted, panels, r3vival_together
+from known_changes import BANDS, JUDGED_HZ, fitted, panels, r3vival_together
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
 from roomfit.predict.changes import Change
@@ -60,8 +60,7 @@ def error_lines(
         row = found[:, PARAMETER_NAMES.index(name)]
         values = [p.parameters[name] for p in carried.pairs]
         others = {
-            "predicted, carried over": np.array([change_of(v).carried for v in values]),
-            "predicted by the model alone": np.array([v.predicted for v in values]),
+            "predicted": np.array([v.predicted for v in values]),
             "measured in state 100": np.array([p.parameters[name].measured for p in truth.pairs]),
         }
         before = np.array([v.measured for v in values])

@@ -34,7 +34,7 @@ from roomfit.room.build import build_mesh, oriented
 from roomfit.room.scene import Room, Scene, material_areas_m2, room_from_mesh
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
-from roomfit.treat.arrangements import as_measured, treat
+from roomfit.treat.arrangements import treat
 from roomfit.treat.question import Product, Surface, Target, problem_of, treated
 from roomfit.treat.search import mean_values
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -84,7 +84,7 @@ def turned_walls(data: Path, result_file: Path | None, at_most_s: float) -> None
             f"turn {walls:<20} T30 {row}   mean {v.predicted[middle].mean():.3f} s, "
             f"met with {100 * a.joint:.0f} %"
         )
-    question = problem_of(as_measured(room), surfaces, products, [target])
+    question = problem_of(room, surfaces, products, [target])
     right = np.array(
         [float(question.products[p].name.startswith("right")) for p in question.product]
     )

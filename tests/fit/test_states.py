@@ -131,7 +131,7 @@ def test_pressures_are_fitted_in_every_state():
 def test_a_change_to_a_material_of_another_state_is_that_state():
     both, found = scene({"closed": CLOSED}), absorption_posterior(joint())
     # neither doubted, which would leave splits open, nor widened by what eight short files depart
-    found = replace(found, result_findings=(), fitted_jnd=None)
+    found = replace(found, result_findings=(), fitted=())
     # image sources alone; sound is followed for longer where the room is livelier before
     every = replace(FEW, most_images=1_500_000)
     opened = select_pairs(both, slice(0, 1))

@@ -26,7 +26,7 @@ BANDS = bands_between("octave", 125, 8000)
 FEW = roomfit.Settings(n_rays=2000, n_draws=8)
 SIDES = ("west", "east", "south", "north", "ceiling")
 MEASURED = MeasuredValues("S", "R", BANDS.centres_hz, {"T20_s": [0.8] * 7, "C80_dB": [4.0] * 7})
-ORDER = ["measured before", "model before", "model after", "carried over"]
+ORDER = ["measured before", "expected before", "expected after"]
 
 
 def foreseen(changes, known_walls: bool = True):
@@ -71,16 +71,15 @@ def test_the_page_has_all_parameters_in_the_order_of_time_per_pair_and_mean(comp
     ]  # fmt: skip
     first = kinds[: kinds.index("change %") + 1]
     assert first == [*ORDER, "change %"]
-    # without a measurement there is nothing to carry over
     strength = kinds[heads.index("G dB") :]
-    assert strength == ["model before", "model after", "change dB"]
+    assert strength == ["expected before", "expected after", "change dB"]
     v = compared.pairs[0].parameters["T20_s"]
-    for number in (v.change.before_lower95[0], v.change.carried[0], v.upper95[0]):
+    for number in (v.change.before_lower95[0], v.predicted[0], v.upper95[0]):
         assert f"{number:.2f}" in tables[2][1]
 
 
 def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_band(compared):
-    """Measured, model before, model after, carried over, a sixth of a band apart."""
+    """Measured, expected before and after, a fifth of a band apart."""
     figure = change_figure(compared)
     panels = {axes.get_title(): axes for axes in figure.axes if axes.get_visible()}
     assert [t.get_text() for t in panels["STI"].get_xticklabels()] == ["125 to 8000"]
@@ -90,13 +89,12 @@ def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_ban
     c = v.change
     wanted = {
         "measured before": (v.measured, v.measured, v.measured),
-        "model before": (c.before, c.before_lower95, c.before_upper95),
-        "model after": (v.predicted, v.lower95, v.upper95),
-        "measured before, carried over": (c.carried, c.carried_lower95, c.carried_upper95),
+        "expected before": (c.before, c.before_lower95, c.before_upper95),
+        "expected after": (v.predicted, v.lower95, v.upper95),
     }
     for i, (line, bars) in enumerate(zip(axes.get_lines(), axes.collections, strict=True)):
         middle, low, high = wanted.pop(line.get_label())
-        np.testing.assert_allclose(line.get_xdata(), np.arange(7) + 0.16 * i - 0.24)
+        np.testing.assert_allclose(line.get_xdata(), np.arange(7) + 0.2 * (i - 1))
         np.testing.assert_array_equal(line.get_ydata(), middle)
         ends = np.array(bars.get_segments())
         np.testing.assert_allclose(ends[:, :, 0], line.get_xdata()[:, None] + np.zeros(2))

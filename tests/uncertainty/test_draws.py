@@ -38,7 +38,6 @@ def arrays() -> dict[str, Any]:
         "chi2_reduced": np.array([0.0, 1.5]),
         "prior_specified": np.array([True, False, True]),
         "draws": np.tile(A, (4, 1, 1)),
-        "fitted_jnd": np.array([[[1e6, np.nan]]]),
         "areas_m2": np.array([0.0, 10.0, 20.0]),
     }
 
@@ -60,8 +59,6 @@ def arrays() -> dict[str, Any]:
         ("draws", (0, 0, 0), 1.001, "draws"),
         ("draws", (0, 0, 0), -0.001, "draws"),
         ("areas_m2", (0,), -0.1, "areas"),
-        ("fitted_jnd", (0, 0, 0), 1.001e6, "departures of fitted pairs"),
-        ("fitted_jnd", (0, 0, 0), -1.001e6, "departures of fitted pairs"),
         ("logit_covariance", (0, 0, 0), -0.01, "the covariance of logit absorption is none"),
         ("logit_covariance", (1, 0, 1), 0.01, "the covariance of logit absorption is none"),
     ],

@@ -25,6 +25,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 # Of each parameter, one just noticeable difference: of times in their logarithm.
 _UNIT = np.array([float(jnd_of(name, np.ones(()))) for name in VALUE_NAMES])[:, None]
 _IS_TIME = RELATIVE[:, None]
+_D50 = VALUE_NAMES.index("D50_percent")
 _DECAY = [VALUE_NAMES.index(name) for name in ("T30_s", "T20_s", "EDT_s")]
 # Standard deviation, in just noticeable differences, of an error that the pairs of a room share.
 _SHARED_SD = 0.5
@@ -206,9 +207,11 @@ def anchored(after: PairNumbers, before: PairNumbers, anchor: Anchor) -> PairNum
     scatter_sd = after.noise_sd * np.sqrt(anchor.scatter)
     sti = after.sti
     if sti is not None:  # early against late energy, too, over all octaves
-        of_speech = float(np.nanmean(anchor.scatter[VALUE_NAMES.index("D50_percent")]))
+        of_speech = float(np.nanmean(anchor.scatter[_D50]))
         sti_sd = sti.noise_sd * np.sqrt(of_speech)
-        sti = replace(sti, noise_sd=sti_sd, scatter_sd=sti_sd)
+        off = float(jnd_of("STI", np.ones(())) * np.nanmean(shift[_D50]))
+        moved, drawn = (np.clip(x + off, 0.0, 1.0) for x in (sti.values, sti.draws))
+        sti = replace(sti, values=moved, draws=drawn, noise_sd=sti_sd, scatter_sd=sti_sd)
     return replace(
         after,
         values=values,

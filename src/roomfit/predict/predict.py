@@ -21,15 +21,17 @@ ChangingRoom: TypeAlias = PreparedRoom | PreparedField
 def predict(question: Question, *, progress: Progress | None = None) -> Predicted:
     """Predict the room parameters of every pair of a scene, with 95 % intervals.
 
-    The room is traced once; draws of the absorption weigh the same paths. An interval is where a
-    measurement is expected: it holds what is not known of the absorption, reflections that
-    interfere, the number of rays, and half a just noticeable difference for the model. It holds no
-    error of positions or of the geometry, and no spread of scattering or of the air.
+    The room is traced once; draws of the absorption weigh the same paths. In a room that was
+    fitted, predictions begin with what was measured (`roomfit.predict.measured.anchors`): a pair is
+    expected by the other fitted pairs and by what the model says of its place, as far as the model
+    has told the fitted pairs apart; means are those measured. An interval is where a measurement is
+    expected, 95 of 100 times, as far as fitted pairs departed from what others say of them.
 
-    With changes, the room is predicted before and after them with the same draws of all that stays
-    (`PredictedValue.change`): what is not known of both states cancels in what the change does, and
-    by this what was measured before is carried over. Where the interval of a change includes none,
-    its direction is not determined.
+    With changes, what was measured or is expected before is followed by what the model says that
+    they do, with the same draws of all that stays (`PredictedValue.change`): what is not known of
+    both states cancels. Where the interval of a change includes none, its direction is not
+    determined. In another room than the fitted one predictions are the model's, as wrong as it was
+    of the fitted pairs.
 
     Of a diffuse field T30 alone is predicted, by its formula; what was measured is kept, and
     carried over by the change.
