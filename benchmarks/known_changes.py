@@ -40,11 +40,11 @@ from roomfit.model.eyring import eyring_time_s
 from roomfit.model.patterns import UnknownDirectivity
 from roomfit.predict.changes import Change
 from roomfit.predict.predict import predict
-from roomfit.predict.prediction import Predicted, PredictedValue, ValueChange
+from roomfit.predict.prediction import Predicted
 from roomfit.predict.question import Question
 from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import surface_area_m2, volume_m3
-from roomfit.room.scene import Point, Scene, material_areas_m2, with_states
+from roomfit.room.scene import Point, Scene, material_areas_m2, pair_names, with_states
 from roomfit.signals.decay import ParameterName
 
 BANDS = roomfit.bands_between("octave", 125, 4000)
@@ -61,6 +61,7 @@ SAME: dict[str, dict[tuple[str, str], tuple[str, ...]]] = {
     },
     "dechorate": {("000000", "011111"): ("floor",)},
 }
+BY_PAIR: tuple[ParameterName, ...] = ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB")
 JUDGED_HZ = 200.0  # what is lower, single modes decide
 # As far off the axis as a loudspeaker of this size radiates within some decibels at 4 kHz.
 ON_AXIS_DEGREES = 40.0
@@ -233,66 +234,59 @@ def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
 def swap_together(
     data: Path, case: Case, result: Result, known: Sequence[str], unknown: str
 ) -> None:
-    """Predict a state from others that were fitted with it, carried over from each of them."""
+    """Predict a state from others that were fitted with it, and show what was fitted again."""
     scene, measurements, _ = case
-    posterior = absorption_posterior(result)
-    judged = result.bands.centres_hz > JUDGED_HZ
-    step_rings = [m.source for m in measurements if not m.state]
-    wanted = panels(unknown)
+    posterior, judged = absorption_posterior(result), result.bands.centres_hz > JUDGED_HZ
+    chosen = {m.source for m in measurements}
+    states, pairs = ["", *(s.name for s in scene.room.states)], np.unique(scene.pairs, axis=0)
     found: dict[str, Predicted] = {}
-    for state in known:
-        number = [0, *(1 + i for i, s in enumerate(scene.room.states) if s.name == state)][-1]
-        own = [m for m in measurements if m.state == ("" if number == 0 else state)]
-        at = replace(scene, pair_state=np.full(len(scene.pairs), number))
-        changes = [
-            Change(one, "catalogue", entry=other)
-            for one, other in zip(panels(state).values(), wanted.values(), strict=True)
-            if one != other
-        ]
-        found[state] = predict(Question(at, posterior, changes, own))
-    truth = r3vival(data, unknown, 1, ("150", "200"))[1]
-    truth = [replace(m, state=unknown) for m in truth if m.source in step_rings]
-    number = 1 + [s.name for s in scene.room.states].index(unknown)
-    at = replace(scene, pair_state=np.full(len(scene.pairs), number))
-    itself = predict(Question(at, posterior, measurements=truth))
-    measured = itself.mean["T30_s"].measured
-    print(
-        f"\nMean T30 of {unknown}, predicted over measured, %  "
-        + "".join(f"{f:>8g}" for f in result.bands.centres_hz)
-    )
-    rows = {
-        f"model of {s}": change_of(p.mean["T30_s"]).before / p.mean["T30_s"].measured
-        for s, p in found.items()
-    }
-    rows[f"{unknown}, model"] = itself.mean["T30_s"].predicted / measured
-    carried = {s: change_of(p.mean["T30_s"]) for s, p in found.items()}
-    rows |= {f"{unknown}, carried over from {s}": c.carried / measured for s, c in carried.items()}
-    logs = {
-        k: np.mean([np.log(getattr(c, k)) for c in carried.values()], axis=0)
-        for k in ("carried", "carried_lower95", "carried_upper95")
-    }
-    both, low, high = (np.exp(logs[k]) for k in logs)
-    rows[f"{unknown}, carried over from all"] = both / measured
-    t = {s: p.mean["T30_s"].measured for s, p in found.items()}
+    for number, state in enumerate((*known, unknown)):
+        name = "" if number == 0 else state
+        own = r3vival(data, state, 1, ("150", "200"))[1]
+        own = [replace(m, state=name) for m in own if m.source in chosen]
+        at = replace(scene, pairs=pairs, pair_state=np.full(len(pairs), states.index(name)))
+        found[state] = predict(Question(at, posterior, (), own))
+    times = {state: p.mean["T30_s"] for state, p in found.items()}
+    head = "".join(f"{f:>8g}" for f in result.bands.centres_hz)
+    print(f"\n{'Mean T30, predicted over measured, %':<38}{head}")
+    for state, v in times.items():
+        print(error_row(f"{state}, predicted", v.predicted / v.measured, judged))
+        half = 50.0 * (v.upper95 - v.lower95) / v.predicted
+        held = ((v.lower95 <= v.measured) & (v.measured <= v.upper95))[judged]
+        cells = "".join(f"{h:>8.1f}" for h in half)
+        print(f"{'  half width':<38}{cells}   held {held.sum()} of {held.size}")
     first, last = known[0], known[-1]
-    areas = material_areas_m2(scene.room), scene.room.materials
-    share_of = dict(zip(areas[1], areas[0], strict=True))
-    turned = {s: sum(share_of[f"{w}, reflecting"] for w in ABSORBING[s]) for s in (last, unknown)}
-    share = turned[unknown] / turned[last]
-    sabine = 1.0 / (1.0 / t[first] + share * (1.0 / t[last] - 1.0 / t[first]))
-    rows[f"{unknown}, Sabine"] = sabine / measured
-    rows[f"{unknown}, mean of both"] = 0.5 * (t[first] + t[last]) / measured
-    for name, ratio in rows.items():
-        print(error_row(name, ratio, judged))
-    held = (low <= measured) & (measured <= high)
-    print(
-        f"carried over within its interval in {held[judged].sum()} of {judged.sum()} bands, "
-        f"median half width {np.median((50.0 * (high - low) / both)[judged]):.1f} %"
+    t = {s: v.measured for s, v in times.items()}
+    areas = dict(zip(scene.room.materials, material_areas_m2(scene.room), strict=True))
+    turned = [sum(areas[f"{w}, reflecting"] for w in ABSORBING[s]) for s in (unknown, last)]
+    rate = 1.0 / t[first] + turned[0] / turned[1] * (1.0 / t[last] - 1.0 / t[first])
+    print(error_row(f"{unknown}, Sabine", 1.0 / rate / t[unknown], judged))
+    both = 0.5 * (t[first] + t[last])
+    print(error_row(f"{unknown}, mean of both", both / t[unknown], judged))
+    for parameter in BY_PAIR:
+        print(by_pair(parameter, unknown, found[unknown], [found[s] for s in known]))
+
+
+def by_pair(name: ParameterName, state: str, found: Predicted, known: Sequence[Predicted]) -> str:
+    """Return how well a parameter of a state is predicted pair by pair, from 250 Hz up."""
+
+    def read(key: str, of: Predicted) -> FloatArray:
+        return np.array([getattr(p.parameters[name], key)[1:] for p in of.pairs])
+
+    truth, is_time = read("measured", found), name.endswith("_s")
+
+    def off(values: FloatArray) -> FloatArray:
+        return np.asarray(100.0 * np.log(values / truth) if is_time else values - truth)
+
+    error = off(read("predicted", found))
+    fine, unit = np.isfinite(error), "%" if is_time else "dB"
+    held = (read("lower95", found) <= truth) & (truth <= read("upper95", found))
+    unchanged = np.mean([off(read("measured", of)) for of in known], axis=0)
+    return (
+        f"{name} of {state} by pair: median error {np.median(np.abs(error[fine])):.2f} {unit}, "
+        f"{100 * held[fine].mean():.0f} % held; mean of the known states "
+        f"{np.nanmedian(np.abs(unchanged[fine])):.2f} {unit}"
     )
-    for state, p in found.items():
-        print(c50_of(state, unknown, (p,), itself))
-    print(c50_of(" and ".join(found), unknown, tuple(found.values()), itself))
-    print(edt_of(" and ".join(found), unknown, tuple(found.values()), itself))
 
 
 def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) -> str:
@@ -306,57 +300,23 @@ def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) ->
         {(m.source, m.receiver): m for m in cases[s][1] if isinstance(m, roomfit.Measurement)}
         for s in (first, second)
     )
-    common = [name for name in before if name in after]
-    scene = cases[first][0]
-    names = [
-        (s.name, r.name)
-        for s, r in ((scene.sources[i], scene.receivers[j]) for i, j in scene.pairs)
-    ]
-    scene = replace(
-        scene,
-        pairs=scene.pairs[[names.index(c) for c in common]],
-        pair_state=np.zeros(len(common), dtype=np.int64),
-    )
-    known = absorption_posterior(results[first])
-    other = results[second]
+    common, scene = [name for name in before if name in after], cases[first][0]
+    names = [name[:2] for name in pair_names(scene)]
+    at = scene.pairs[[names.index(c) for c in common]]
+    scene = replace(scene, pairs=at, pair_state=np.zeros(len(common), dtype=np.int64))
+    known, other = absorption_posterior(results[first]), results[second]
     sd = (other.upper95 - other.lower95) / (2.0 * Z95)
     changes = [
         Change(wall, "value", tuple(other.absorption[m]), tuple(sd[m]))
         for m, wall in enumerate(other.materials)
         if wall != "floor"
     ]
-    found = predict(Question(scene, known, changes, [before[c] for c in common]))
-    truth = predict(Question(scene, known, (), [after[c] for c in common]))
+    found = predict(Question(scene, known, changes, [after[c] for c in common]))
+    plain = predict(Question(scene, known, (), [before[c] for c in common]))
     bands, judged = results[first].bands.centres_hz, results[first].bands.centres_hz > JUDGED_HZ
     lines = [f"\n{first} to {second}, {len(common)} pairs, from {JUDGED_HZ:g} Hz up"]
-    judged_by: tuple[tuple[ParameterName, bool], ...] = (
-        ("T20_s", True),
-        ("T30_s", True),
-        ("EDT_s", True),
-        ("C50_dB", False),
-        ("C80_dB", False),
-    )
-    for name, relative in judged_by:
-        pairs = [
-            (p.parameters[name], change_of(p.parameters[name]), q.parameters[name].measured)
-            for p, q in zip(found.pairs, truth.pairs, strict=True)
-        ]
-        error = np.array(
-            [(c.carried / y - 1.0) * 100 if relative else c.carried - y for _, c, y in pairs]
-        )
-        none = np.array(
-            [(v.measured / y - 1.0) * 100 if relative else v.measured - y for v, _, y in pairs]
-        )
-        held = np.array([(c.carried_lower95 <= y) & (y <= c.carried_upper95) for _, c, y in pairs])
-        fine = np.isfinite(error) & judged
-        unit = "%" if relative else "dB"
-        middle, baseline = (np.median(np.abs(x[fine])) for x in (error, none))
-        lines.append(
-            f"{name:8} by pair, carried over: median |error| {middle:.1f} {unit}, held "
-            f"{100 * held[fine].mean():.0f} %; no change {baseline:.1f}; mean by band "
-            + " ".join(f"{e:.1f}" for e in np.nanmean(error, axis=0))
-        )
-    t30 = found.mean["T30_s"].measured, truth.mean["T30_s"].measured
+    lines += [by_pair(name, second, found, [plain]) for name in BY_PAIR]
+    t30 = plain.mean["T30_s"].measured, found.mean["T30_s"].measured
     areas = material_areas_m2(scene.room)
     means = [areas @ a / areas.sum() for a in (known.absorption, found.absorption)]
     mesh, air = scene.room.mesh, attenuation_per_m(scene.air, results[first].bands)
@@ -366,7 +326,7 @@ def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) ->
     for label, row in (
         ("Sabine, the same walls", t30[0] * sabine[1] / sabine[0]),
         ("Eyring, the same walls", t30[0] * eyring[1] / eyring[0]),
-        ("carried over", change_of(found.mean["T30_s"]).carried),
+        ("predicted", found.mean["T30_s"].predicted),
         ("mean of both states", 0.5 * (t30[0] + t30[1])),
     ):
         lines.append(error_row(f"mean T30, {label}", row / t30[1], judged))
@@ -379,87 +339,6 @@ def error_row(name: str, ratio: FloatArray, judged: BoolArray) -> str:
     worst = np.abs(error[judged])
     cells = "".join(f"{e:>8.1f}" for e in error)
     return f"{name:<38}{cells}   median {np.median(worst):.1f}, largest {worst.max():.1f}"
-
-
-def change_of(value: PredictedValue) -> ValueChange:
-    """Return what a change does to a value, of a prediction that was made with changes."""
-    if value.change is None:
-        raise ValueError("predicted without a change")
-    return value.change
-
-
-def c50_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predicted) -> str:
-    """Return how well C50 is carried over from known states, pair by pair, in their mean."""
-    truth = np.array([q.parameters["C50_dB"].measured for q in itself.pairs])[:, 1:]
-    before, model, carried, low, high = (
-        np.mean([[read(p.parameters["C50_dB"])[1:] for p in c.pairs] for c in changed], axis=0)
-        for read in (
-            lambda v: v.measured,
-            lambda v: v.predicted,
-            lambda v: change_of(v).carried,
-            lambda v: change_of(v).carried_lower95,
-            lambda v: change_of(v).carried_upper95,
-        )
-    )
-    known = np.isfinite(before + truth + carried)
-    error, raw, baseline = (np.abs(x - truth)[known] for x in (carried, model, before))
-    held = ((low <= truth) & (truth <= high))[known]
-    return (
-        f"C50, carried over from {state} to {unknown} by pair: median error "
-        f"{np.median(error):.2f} dB, {100 * np.mean(error < 1.0):.0f} % within 1 dB, "
-        f"{100 * held.mean():.0f} % held (model alone: {np.median(raw):.2f} dB, "
-        f"{100 * np.mean(raw < 1.0):.0f} %; no change predicted: {np.median(baseline):.2f} dB, "
-        f"{100 * np.mean(baseline < 1.0):.0f} %)"
-    )
-
-
-def edt_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predicted) -> str:
-    """Return how well EDT is carried over from known states, pair by pair, in their mean."""
-    truth = np.array([q.parameters["EDT_s"].measured for q in itself.pairs])[:, 1:]
-    before, carried, low, high = (
-        np.exp(
-            np.mean(
-                [[np.log(read(p.parameters["EDT_s"])[1:]) for p in c.pairs] for c in changed],
-                axis=0,
-            )
-        )
-        for read in (
-            lambda v: v.measured,
-            lambda v: change_of(v).carried,
-            lambda v: change_of(v).carried_lower95,
-            lambda v: change_of(v).carried_upper95,
-        )
-    )
-    known = np.isfinite(before + truth + carried)
-    error, baseline = (100.0 * np.abs(x / truth - 1.0)[known] for x in (carried, before))
-    held = ((low <= truth) & (truth <= high))[known]
-    return (
-        f"EDT, carried over from {state} to {unknown} by pair: "
-        f"median error {np.median(error):.1f} %, "
-        f"{100 * held.mean():.0f} % held (no change predicted: {np.median(baseline):.1f} %)"
-    )
-
-
-def c50_text(found: Mapping[str, Predicted]) -> str:
-    """Return how well the change of C50 from 000 to R is predicted, pair by pair, from 250 Hz."""
-    change = {
-        kind: np.array(
-            [
-                getattr(r.parameters["C50_dB"], kind) - getattr(o.parameters["C50_dB"], kind)
-                for r, o in zip(found["R"].pairs, found["000"].pairs, strict=True)
-            ]
-        )[:, 1:]
-        for kind in ("measured", "predicted")
-    }
-    error = np.abs(change["predicted"] - change["measured"])
-    known = np.isfinite(error)
-    error, baseline = error[known], np.abs(change["measured"])[known]
-    return (
-        f"C50, change from 000 to R by pair: median error {np.median(error):.2f} dB, "
-        f"{100 * np.mean(error < 1.0):.0f} % within 1 dB "
-        f"(no change predicted: {np.median(baseline):.2f} dB, "
-        f"{100 * np.mean(baseline < 1.0):.0f} %)"
-    )
 
 
 def main() -> None:
