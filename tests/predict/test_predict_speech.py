@@ -101,7 +101,7 @@ def test_absorption_raises_the_index_and_noise_lowers_it(scene, plain):
     assert noisy.sti.predicted[0] < plain.sti.predicted[0] - 0.05
     text = str(quiet)
     assert "Speech transmission index" in text
-    assert "model before" in text.split("Speech transmission index")[1].split("By pair")[0]
+    assert "expected before" in text.split("Speech transmission index")[1].split("By pair")[0]
 
 
 @pytest.mark.parametrize("levels", [None, [50.0, 48.0, 45.0, 42.0, 40.0, 38.0, 35.0]])
