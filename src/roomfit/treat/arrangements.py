@@ -35,6 +35,8 @@ from roomfit.treat.question import (
 )
 from roomfit.treat.search import MET, best_arrangement, excess
 
+# Arrangements of which more of the area hangs alike are one, within the tolerance of products.
+_SAME_SHARE = 0.8
 _MARGIN_ROUNDS = 6  # a margin hangs on the arrangement, and that on the margin
 # Means by parameter, and the speech transmission index.
 _Means = tuple[dict[ValueName, PredictedValue], PredictedValue | None]
@@ -153,12 +155,15 @@ def treat(
     met = [one for one in tried if not one.missed]
     first = min(met or tried[-1:], key=lambda one: one.cost)
     found, excluded = [first], []
-    while met and first.pieces.any() and len(found) < number:
-        excluded.append(found[-1].pieces > 0)
-        other = best(margin, excluded)
-        if other.missed or any(np.array_equal(other.pieces > 0, e) for e in excluded):
+    latest = first
+    while met and first.pieces.any() and len(found) < number and len(excluded) < 4 * number:
+        excluded.append(latest.pieces > 0)
+        latest = best(margin, excluded)
+        if latest.missed or any(np.array_equal(latest.pieces > 0, e) for e in excluded):
             break
-        found.append(other)
+        if any(_in_common(problem, latest.pieces, one.pieces) > _SAME_SHARE for one in found):
+            continue
+        found.append(latest)
         if progress is not None:
             progress(len(found) / number)
     found.sort(key=lambda one: one.cost)
@@ -175,6 +180,15 @@ def treat(
         room.absorption.bands, problem.targets, arrangements, bool(met), room, doubts,
         before=in_words, asked=probability,
     )  # fmt: skip
+
+
+def _in_common(problem: Problem, one: FloatArray, other: FloatArray) -> float:
+    """Return which share of the area two arrangements hang in the same places."""
+    both, larger = (
+        float(problem.piece_m2 @ pieces)
+        for pieces in (np.minimum(one, other), np.maximum(one, other))
+    )
+    return both / larger
 
 
 def _of_the_room(room: ChangingRoom, arrangements: Sequence[Arrangement]) -> tuple[Finding, ...]:
