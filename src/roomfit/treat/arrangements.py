@@ -154,7 +154,7 @@ def treat(
             break
     met = [one for one in tried if not one.missed]
     first = min(met or tried[-1:], key=lambda one: one.cost)
-    found, excluded = [first], []
+    found, excluded = [first], list[BoolArray]()
     latest = first
     while met and first.pieces.any() and len(found) < number and len(excluded) < 4 * number:
         excluded.append(latest.pieces > 0)
