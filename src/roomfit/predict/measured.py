@@ -2,7 +2,7 @@
 
 A model's absolute prediction has all its errors in it. Those that a room's pairs share are seen in
 the pairs that were fitted, and leave every prediction of that room; what the model says of one
-place against another counts as far as it has told the fitted pairs apart, each from all others.
+place against another counts as far as it has distinguished the fitted pairs, each from all others.
 """
 
 from __future__ import annotations
