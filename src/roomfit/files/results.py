@@ -58,7 +58,7 @@ RESULT_KEYS = {
     "prior_logit_covariance draws prior_specified",
     "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
     "intervals method_chosen reasons",
-    "pairs": "source receiver use state parameters sti",
+    "pairs": "source receiver use state distance_m parameters sti",
     "findings": "code severity sentence about evidence remedies",
 }
 _WHOLE = "a result.json as roomfit writes it"
