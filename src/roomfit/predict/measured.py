@@ -27,11 +27,12 @@ _UNIT = np.array([float(jnd_of(name, np.ones(()))) for name in VALUE_NAMES])[:, 
 _IS_TIME = RELATIVE[:, None]
 _D50 = VALUE_NAMES.index("D50_percent")
 _DECAY = [VALUE_NAMES.index(name) for name in ("T30_s", "T20_s", "EDT_s")]
-# Standard deviation, in just noticeable differences, of an error that the pairs of a room share.
+# Standard deviation, in just noticeable differences, of an error that the pairs of a room share,
+# before any was measured.
 _SHARED_SD = 0.5
-# What is known before any pair was measured counts as so many values: for how far the model tells
-# places apart better than the law of a diffuse field, and for how far values scatter.
-_WEIGHT_PRIOR, _SCATTER_PRIOR = 30.0, 6.0
+# That counts as so many values of the kind; likewise what is known of how well the model tells
+# places apart, and of how far values scatter.
+_SHARED_PRIOR, _WEIGHT_PRIOR, _SCATTER_PRIOR = 3.0, 30.0, 6.0
 # A departure counts as no more than so many standard deviations: a single EDT of a few
 # milliseconds is no scatter of all pairs.
 _MOST_SDS = 4.0
@@ -129,14 +130,14 @@ def anchors(
 
     Notes
     -----
-    Measured values y of fitted pairs depart from the model f by an error e that they share, of the
-    prior variance ``v = (0.5 jnd)^2``, and by noise of the variance s^2, of interference and rays:
-    e is the share ``n v / (n v + s^2)`` of their mean departure. Likewise they depart from the law
-    d of a diffuse field with the measured decay time (`diffuse_values`). A pair that was not
-    fitted is expected at ``w (f + e) + (1 - w) (d + e')``. Over all bands, and either decay times
-    or all else, w explains the fitted pairs best, each by the others alone [1]_; what is left of
-    these departures gives the scatter. A state of the room that was not fitted has no such law,
-    and the mean error of the fitted ones.
+    Measured values y of fitted pairs depart from the model f by an error e that they share, of a
+    variance v, and by noise of the variance s^2, of interference and rays: e is the share
+    ``n v / (n v + s^2)`` of their mean departure. Likewise they depart from the law d of a diffuse
+    field with the measured decay time (`diffuse_values`). A pair that was not fitted is expected at
+    ``w (f + e) + (1 - w) (d + e')``. Over all bands, and either decay times or all else, v is what
+    the mean departures show, and w explains the fitted pairs best, each by the others alone [1]_;
+    what is left of these departures gives the scatter. A state of the room that was not fitted has
+    no such law, and the mean error of the fitted ones.
 
     References
     ----------
@@ -150,21 +151,24 @@ def anchors(
         return (Anchor(nothing, nothing, nothing, nothing + 1.0, model, nothing),) * len(names)
     volume = volume_m3(scene.room.mesh)
     states = _states(known, volume)
-    errors = {s: _shared_errors(own.off, noise) for s, own in states.items()}
+    variance = _shared_variance(list(states.values()), noise)
+    errors = {s: _shared_errors(own.off, noise, variance) for s, own in states.items()}
     left = {s: own.off - errors[s][1] for s, own in states.items()}
     weight = _weights(np.concatenate(list(left.values()), axis=1), noise)
     rest = {s: _mixed(off, weight) for s, off in left.items()}
     scatter = _scatter(np.concatenate(list(rest.values())), noise)
     if known.is_other_room or state not in states:
-        kept = np.mean([_share(_count(own.off[0]), noise) for own in states.values()], axis=0)
+        counts = [_count(own.off[0]) for own in states.values()]
+        kept = np.mean([_share(count, noise, variance[0]) for count in counts], axis=0)
         each = np.array([e[0][0] for e in errors.values()])
         shift = nothing if known.is_other_room else each.mean(axis=0)
         least = MODEL_ERROR_JND if known.is_other_room else _SHARED_SD
         between = (least**2 + np.sum((each - shift) ** 2, axis=0)) / len(each)
-        shared = np.sqrt(between + scatter * (1.0 - kept) * _SHARED_SD**2)
+        shared = np.sqrt(between + scatter * (1.0 - kept) * variance[0])
         return (Anchor(shift, nothing, nothing, scatter, shared, kept),) * len(names)
-    here, kept = states[state], _share(_count(states[state].off[0]), noise)
-    shared = np.sqrt(scatter * (1.0 - kept)) * _SHARED_SD
+    here = states[state]
+    kept = _share(_count(here.off[0]), noise, variance[0])
+    shared = np.sqrt(scatter * (1.0 - kept) * variance[0])
     # what walls leave open between two places, departures of two pairs and more show by themselves
     kept = np.where(_count(states[state].off[0]) > 1.0, 1.0, kept)
     distance_m = distances_m(scene)
@@ -237,21 +241,40 @@ def _count(off: FloatArray) -> FloatArray:
     return np.asarray(np.isfinite(off).sum(axis=0), dtype=np.float64)
 
 
-def _share(count: FloatArray, noise: FloatArray) -> FloatArray:
+def _share(count: FloatArray, noise: FloatArray, variance: FloatArray) -> FloatArray:
     """Return the share of a mean over some departures that is due to the error they share."""
-    return np.asarray(count * _SHARED_SD**2 / (count * _SHARED_SD**2 + noise))
+    return np.asarray(count * variance / (count * variance + noise))
 
 
-def _shared_errors(off: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _shared_variance(states: Sequence[_State], noise: FloatArray) -> FloatArray:
+    """Return the variance of the errors that pairs share, (2, n_names, 1), as means show it."""
+    found = np.empty((2, len(RELATIVE), 1))
+    for which, rows in ((w, r) for w in range(2) for r in (RELATIVE, ~RELATIVE)):
+        excess = [
+            _mean(s.off[which]) ** 2 - noise / np.maximum(_count(s.off[which]), 1.0) for s in states
+        ]
+        known = np.array(excess)[:, rows]
+        known = known[np.isfinite(known)]
+        sum_of_squares = _SHARED_PRIOR * _SHARED_SD**2 + float(known.sum())
+        least = 0.25 * _SHARED_SD**2
+        found[which, rows] = max(sum_of_squares / (_SHARED_PRIOR + known.size), least)
+    return found
+
+
+def _shared_errors(
+    off: FloatArray, noise: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the error that departures share, by all of them and by the others of each.
 
-    Shapes: `off` (2, n_pairs, n_names, n_bands), what comes back (2, n_names, n_bands) and as it.
+    Shapes: `off` (2, n_pairs, n_names, n_bands), `variance` (2, n_names, 1), what comes back
+    (2, n_names, n_bands) and as `off`.
     """
     known = np.isfinite(off)
     count, total = known.sum(axis=1), np.where(known, off, 0.0).sum(axis=1)
     others = count[:, None] - known
     of_others = (total[:, None] - np.where(known, off, 0.0)) / np.maximum(others, 1)
-    return _share(count, noise) * total / np.maximum(count, 1), _share(others, noise) * of_others
+    shares = _share(count, noise, variance), _share(others, noise, variance[:, None])
+    return shares[0] * total / np.maximum(count, 1), shares[1] * of_others
 
 
 def _weights(left: FloatArray, noise: FloatArray) -> FloatArray:

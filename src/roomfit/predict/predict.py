@@ -24,8 +24,8 @@ def predict(question: Question, *, progress: Progress | None = None) -> Predicte
     The room is traced once; draws of the absorption weigh the same paths. In a room that was
     fitted, predictions begin with what was measured (`roomfit.predict.measured.anchors`): a pair is
     expected by the other fitted pairs and by what the model says of its place, as far as the model
-    has distinguished the fitted pairs; means are those measured. An interval is where a measurement is
-    expected, 95 of 100 times, as far as fitted pairs departed from what others say of them.
+    has distinguished the fitted pairs; means are those measured. An interval is where a measurement
+    is expected, 95 of 100 times, as far as fitted pairs departed from what others say of them.
 
     With changes, what was measured or is expected before is followed by what the model says that
     they do, with the same draws of all that stays (`PredictedValue.change`): what is not known of
