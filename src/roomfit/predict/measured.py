@@ -249,9 +249,9 @@ def anchored(after: PairNumbers, before: PairNumbers, anchor: Anchor) -> PairNum
     if sti is not None:  # early against late energy, too, over all octaves
         of_speech = float(np.nanmean(anchor.scatter[_D50]))
         sti_sd = sti.noise_sd * np.sqrt(of_speech)
-        off = float(jnd_of("STI", np.ones(())) * np.nanmean(shift[_D50]))
-        moved, drawn = (np.clip(x + off, 0.0, 1.0) for x in (sti.values, sti.draws))
-        sti = replace(sti, values=moved, draws=drawn, noise_sd=sti_sd, scatter_sd=sti_sd)
+        step = float(jnd_of("STI", np.ones(())) * np.nanmean(shift[_D50]))
+        index, of_draws = (np.clip(x + step, 0.0, 1.0) for x in (sti.values, sti.draws))
+        sti = replace(sti, values=index, draws=of_draws, noise_sd=sti_sd, scatter_sd=sti_sd)
     return replace(
         after,
         values=values,
