@@ -15,7 +15,7 @@ from roomfit.base.findings import Code
 from roomfit.base.polygon import Face, Surface
 from roomfit.room.build import build_mesh, oriented
 from roomfit.room.check import examine, find_leaks
-from roomfit.room.inside import distance_to_walls_m, interior_points, is_inside
+from roomfit.room.inside import distance_to_walls_m, interior_points, is_in_sight, is_inside
 from roomfit.room.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
@@ -195,6 +195,16 @@ def test_the_notch_of_an_l_shaped_room_is_outside():
 
     assert is_inside(l_room(), points).tolist() == [False, True, True]
     assert is_inside(l_room(), interior_points(l_room(), 200, np.random.default_rng(1))).all()
+
+
+def test_points_of_an_l_shaped_room_see_each_other_where_the_notch_is_not_between_them():
+    """Of 400 pairs; the way between them, in 4000 steps, is in the notch or is not."""
+    rng, mesh = np.random.default_rng(7), l_room()
+    ends = interior_points(mesh, 800, rng).reshape(400, 2, 3)
+    share = np.linspace(0.0, 1.0, 4001)[:, None]
+    hidden = [bool(np.any(np.all((a + share * (b - a))[:, :2] > 1.0, axis=1))) for a, b in ends]
+    assert 20 < sum(hidden) < 380
+    assert [not is_in_sight(mesh, a, b) for a, b in ends] == hidden
 
 
 def test_distances_to_the_walls_of_a_box_are_those_of_its_planes():

@@ -158,6 +158,23 @@ def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     return np.asarray(2 * odd > _N_DIRECTIONS)
 
 
+def is_in_sight(mesh: Mesh, from_m: FloatArray, to_m: FloatArray) -> bool:
+    """Return whether no wall stands between two points of a room.
+
+    Shapes: `from_m, to_m` (3,). An edge that is met counts as a wall; see `flight_m`.
+    """
+    if box_of(mesh) is not None:
+        return True
+    a, b, c = np.moveaxis(corners_m(mesh), 1, 0)
+    ab, ac, s, way = b - a, c - a, from_m - a, to_m - from_m
+    h, k = np.cross(way, ac), np.cross(s, ab)
+    determinant = np.sum(ab * h, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # walls along the way
+        u, v, t = (np.sum(x, axis=-1) / determinant for x in (s * h, way * k, ac * k))
+    struck = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)
+    return not np.any(struck & (determinant != 0.0))
+
+
 def interior_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:
     """Return up to n random points inside the room, shape (n_found, 3).
 
