@@ -23,7 +23,8 @@ import roomfit
 from roomfit.base.typing import FloatArray, ValueName
 from roomfit.files.rooms import read_room
 from roomfit.files.schema import RoomSpec
-from roomfit.predict.measured import diffuse_values, in_units
+from roomfit.model.eyring import diffuse_values
+from roomfit.predict.measured import in_units
 from roomfit.predict.predict import predict
 from roomfit.predict.prediction import PredictedPair
 from roomfit.predict.question import Question

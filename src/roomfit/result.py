@@ -53,6 +53,9 @@ class Compared(NamedTuple):
     null: FloatArray
     # (n_bands,), Predicted minus measured in just noticeable differences of ISO 3382-1
     jnd: FloatArray
+    # (n_bands,), by Barron's revised theory with the mean decay time of these others, see
+    # `roomfit.model.eyring.diffuse_values`
+    diffuse: FloatArray | None = None
 
 
 class Decay(NamedTuple):

@@ -8,11 +8,11 @@ import pytest
 import roomfit
 from roomfit.base.bands import bands_between
 from roomfit.base.typing import FloatArray
+from roomfit.model.eyring import diffuse_values
 from roomfit.predict.decay import PairNumbers
 from roomfit.predict.measured import (
     anchored,
     anchors,
-    diffuse_values,
     from_units,
     given_decays,
     in_units,

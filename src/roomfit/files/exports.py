@@ -164,15 +164,15 @@ def _heads(bands: Bands) -> list[str]:
     return [f"{f:g}" for f in bands.centres_hz]
 
 
-_COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
+_COMPARED = ("measured", "predicted", "jnd", "mean_of_others", "diffuse_field")
 
 
 def workbook_bytes(file: ResultFile) -> bytes:
     """Return the tables of a ``result.json`` or an ``absorption.csv`` as an Excel workbook.
 
     The sheet ``absorption`` has a row for each material and band, ``absorption by band`` one for
-    each material. Of a ``result.json`` also ``room parameters`` (measured, predicted, and the mean
-    of the others), ``fit`` (a row a band) and ``findings``.
+    each material. Of a ``result.json`` also ``room parameters`` (measured, predicted, the mean of
+    the others, and Barron's theory with their decay time), ``fit`` (a row a band) and ``findings``.
     """
     table, content = read_materials(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])

@@ -553,7 +553,7 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
     known = dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))
     columns = {"measured": "measured", "predicted": "predicted", "jnd": "jnd"}
-    columns["mean_of_others"] = "null"
+    columns |= {"mean_of_others": "null", "diffuse_field": "diffuse"}
     content = {
         "source": pair.source,
         "receiver": pair.receiver,
@@ -561,7 +561,11 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         "state": pair.state or None,
         "distance_m": round(pair.distance_m, 4),
         "parameters": {
-            name: {key: numbers_or_null(getattr(c, own)) for key, own in columns.items()}
+            name: {
+                key: numbers_or_null(values)
+                for key, own in columns.items()
+                if (values := getattr(c, own)) is not None
+            }
             for name, c in pair.parameters.items()
         },
         "sti": known if np.isfinite(sti).any() else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,10 +14,12 @@ from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import Measurements
 from roomfit.model.binned import BinnedPaths, pair_energies
+from roomfit.model.eyring import diffuse_values
 from roomfit.model.observation import spread_over_time
 from roomfit.model.pulses import interference
 from roomfit.model.room_parameters import predicted_values
 from roomfit.result import Compared, ComparedPair, Decay
+from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
@@ -88,7 +91,7 @@ def compare_all(
             observed = added if np.array_equal(chosen, candidates) else compared(chosen)
     tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
-        return observed, chosen
+        return _beside_diffuse(scene, observed), chosen
     predicted = predicted_values(scene, bands, binned, absorption)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     at = [pair_of[m.pair_name] for m in tabulated]
@@ -98,7 +101,23 @@ def compare_all(
         ComparedPair(m.source, m.receiver, m.use, table, None, m.state, length_m)
         for m, table, length_m in zip(tabulated, tables, lengths_m, strict=True)
     )
-    return observed + of_tables, chosen
+    return _beside_diffuse(scene, observed + of_tables), chosen
+
+
+def _beside_diffuse(scene: Scene, pairs: tuple[ComparedPair, ...]) -> tuple[ComparedPair, ...]:
+    """Return pairs beside a diffuse field with the decay time of the other fitted ones."""
+    volume, found = volume_m3(scene.room.mesh), []
+    for pair in pairs:
+        own = pair.parameters
+        times = [own[n].null for n in ("T30_s", "T20_s", "EDT_s") if n in own]
+        decay_s = next((t for t in times if np.isfinite(t).any()), None)
+        if decay_s is not None:
+            (values,) = diffuse_values(decay_s, volume, np.array([pair.distance_m]))
+            by_name = dict(zip(VALUE_NAMES, values, strict=True))
+            own = {n: c._replace(diffuse=by_name[n]) for n, c in own.items()}
+            pair = replace(pair, parameters=own)
+        found.append(pair)
+    return tuple(found)
 
 
 def compare_pairs(

@@ -1,13 +1,13 @@
-"""Decay of a diffuse field, and its absorption by Eyring's formula.
+"""Decay and room parameters of a diffuse field, and its absorption by Eyring's formula.
 
-Uniform absorption is where a fit starts, and the baseline to compare it with.
+Uniform absorption is where a fit starts, and a diffuse field the baseline to compare it with.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from roomfit.base.typing import FloatArray
+from roomfit.base.typing import VALUE_NAMES, FloatArray
 
 # Of the absorption that a decay gives, so that a search can move either way.
 _LOWEST, _HIGHEST = 0.02, 0.98
@@ -52,3 +52,28 @@ def schroeder_hz(decay_s: FloatArray, volume_m3: float) -> FloatArray:
     M. R. Schroeder, J. Acoust. Soc. Am. 99, 3240-3241 (1996).
     """
     return np.asarray(2000.0 * np.sqrt(decay_s / volume_m3))
+
+
+def diffuse_values(decay_s: FloatArray, volume_m3: float, distance_m: FloatArray) -> FloatArray:
+    """Return room parameters by the revised theory of Barron and Lee [1]_, (n, n_names, n_bands).
+
+    Shapes: `decay_s` (n_bands,), `distance_m` (n,). All decay times are the given one.
+
+    References
+    ----------
+    .. [1] M. Barron, L.-J. Lee, "Energy relations in concert auditoriums. I", J. Acoust. Soc. Am.
+           84, 618-628 (1988).
+    """
+    r, t = distance_m[:, None], decay_s[None]
+    direct, reverberant = 100.0 / r**2, 31200.0 * t / volume_m3 * np.exp(-0.04 * r / t)
+    total = direct + reverberant
+    early_50, early_80 = (direct - reverberant * np.expm1(-13.8 * s / t) for s in (0.05, 0.08))
+    found = {
+        "C50_dB": 10.0 * np.log10(early_50 / (total - early_50)),
+        "C80_dB": 10.0 * np.log10(early_80 / (total - early_80)),
+        "D50_percent": 100.0 * early_50 / total,
+        "TS_ms": 1000.0 * reverberant * t / 13.8 / total,
+        "G_dB": 10.0 * np.log10(total),
+    }
+    times = np.broadcast_to(t, total.shape)
+    return np.stack([found.get(name, times) for name in VALUE_NAMES], axis=1)

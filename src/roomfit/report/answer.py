@@ -248,7 +248,7 @@ def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[
     if key is None:
         return (*figures, (DASH, say("no measured room parameter to compare with")))
     how = parameter(key)
-    model, baseline = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
+    model, baseline, _ = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
     words = say("error of predicted {symbol}, mean of {pairs}").format(
         symbol=how.symbol, pairs=say(tables.compared_words(answer))
     )
@@ -341,12 +341,13 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
         if off is not None or tables.parameter_keys(answer.pairs):
             found.append(off or agree)
     errors = tables.error_tables(answer)
-    worse = (("worse", "▲ marks where the model is worse than the baseline."),) if errors else ()
+    worse = (("worse", "▲ marks where the model is worse than a baseline."),) if errors else ()
     found += [
         *tables.decay_time_tables(answer),
         Sentence(
-            "Each error is shown beside that of the baseline, which needs no model of the room: "
-            "the mean of the same parameter over the other fitted measurements (“others”).",
+            "Each error is shown beside those of the baselines, which need no model of the room: "
+            "the mean of the same parameter over the other fitted measurements (“others”), and "
+            "the revised theory of Barron and Lee with their decay time (“Barron”).",
             "",
             worse,
         ),

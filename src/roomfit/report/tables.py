@@ -327,24 +327,32 @@ def _audible(jnd: float) -> str:
     return "near" if size <= 1.0 else "middle" if size <= 2.0 else "far"
 
 
-def errors_of(pairs: Sequence[ComparedPair], key: str) -> tuple[FloatArray, FloatArray]:
-    """Return absolute errors of a parameter by the model and by the baseline.
+def errors_of(pairs: Sequence[ComparedPair], key: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return absolute errors of a parameter by the model, the mean of others and a diffuse field.
 
-    Percent or in its unit, each of shape (n_pairs, n_bands); NaN where one of the two cannot be
-    compared. Where any baseline exists, the model has only what the baseline has as well, so that
-    both are means over the same pairs.
+    Percent or in its unit, each of shape (n_pairs, n_bands); NaN where one of the first two cannot
+    be compared. Where any mean exists, the model has only what this has as well, so that both are
+    means over the same pairs.
     """
     compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
     measured = np.array([c.measured for c in compared])
     scale = np.where(measured == 0.0, np.nan, measured) / 100.0
     if parameter(key).error_unit != "%":
         scale = np.ones_like(measured)
-    model = np.abs(np.array([c.predicted for c in compared]) - measured) / scale
-    baseline = np.abs(np.array([c.null for c in compared]) - measured) / scale
+    unknown = np.full(measured.shape[1:], np.nan)
+    model, baseline, diffuse = (
+        np.abs(np.array(values) - measured) / scale
+        for values in (
+            [c.predicted for c in compared],
+            [c.null for c in compared],
+            [unknown if c.diffuse is None else c.diffuse for c in compared],
+        )
+    )
     both = np.isfinite(model) & np.isfinite(baseline)
     if not both.any():
-        return model, np.full_like(model, np.nan)
-    return np.where(both, model, np.nan), np.where(both, baseline, np.nan)
+        return model, np.full_like(model, np.nan), np.full_like(model, np.nan)
+    first, second, third = (np.where(both, x, np.nan) for x in (model, baseline, diffuse))
+    return first, second, third
 
 
 def error_tables(answer: Result) -> tuple[Table, ...]:
@@ -354,8 +362,8 @@ def error_tables(answer: Result) -> tuple[Table, ...]:
         pairs = [pair for pair in answer.pairs if pair.use == use]
         rows = []
         for key in parameter_keys(pairs):
-            model, baseline = errors_of(pairs, key)
-            columns = [*zip(model.T, baseline.T, strict=True), (model, baseline)]
+            errors = errors_of(pairs, key)
+            columns = [*zip(*(e.T for e in errors), strict=True), errors]
             head = Cell(parameter(key).symbol, (f"in {parameter(key).error_unit}",))
             cells = (_error_cell(key, *map(known_mean, own)) for own in columns)
             rows.append((head, *cells))
@@ -366,15 +374,19 @@ def error_tables(answer: Result) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def _error_cell(key: str, model: float, baseline: float) -> Cell:
+def _error_cell(key: str, model: float, baseline: float, diffuse: float) -> Cell:
     decimals = parameter(key).error_decimals
     text = number(model, decimals)
     if not np.isfinite(baseline):
         return known_or(Cell(text, ("no others",)), "not comparable")
-    others = (f"others {number(baseline, decimals)}",)
+    beside = [f"others {number(baseline, decimals)}"]
+    # of a decay time the theory takes the mean of others
+    if np.isfinite(diffuse) and key not in ("T20_s", "T30_s"):
+        beside.append(f"Barron {number(diffuse, decimals)}")
+        baseline = min(baseline, diffuse)
     if round(model, decimals) > round(baseline, decimals):
-        return Cell(f"▲ {text}", others, "worse")
-    return known_or(Cell(text, others), "not comparable")
+        return Cell(f"▲ {text}", tuple(beside), "worse")
+    return known_or(Cell(text, tuple(beside)), "not comparable")
 
 
 def decay_time_tables(answer: Result) -> tuple[Table, ...]:
