@@ -215,10 +215,8 @@ def with_parameters(folder: Path) -> Path:
     """Return a result with a pair, a fit and a finding whose sentence looks like a formula."""
     path = write_result(folder)
     content = json.loads(path.read_text())
-    compared = {
-        k: [1.0] * 5 + [None]
-        for k in ("measured", "predicted", "jnd", "mean_of_others", "diffuse_field")
-    }
+    columns = ("measured", "predicted", "jnd", "mean_of_others", "diffuse_field")
+    compared = {k: [1.0] * 5 + [None] for k in columns}
     content["pairs"] = [
         {"source": "S", "receiver": "R", "use": "fit", "parameters": {"T20_s": compared}}
     ]

@@ -149,9 +149,10 @@ def test_mean_errors_of_model_and_null_model_are_those_over_pairs(case):
             c = [p.parameters[key] for p in pairs]
             measured = np.array([x.measured for x in c])
             scale = measured / 100.0 if key in ("T20_s", "T30_s", "EDT_s") else 1.0
-            for which, at in (("predicted", 0), ("null", 1)):
+            ways = [("predicted", 0, ""), ("null", 1, "others "), ("diffuse", 2, "Barron ")]
+            for which, at, word in ways[: 2 if key in ("T20_s", "T30_s") else 3]:
                 errors = np.abs(np.array([getattr(x, which) for x in c]) - measured) / scale
-                reported = [number(x[at].removeprefix("others ")) for x in rows[key.split("_")[0]]]
+                reported = [number(x[at].removeprefix(word)) for x in rows[key.split("_")[0]]]
                 expected = [*errors.mean(axis=0), errors.mean()]
                 np.testing.assert_allclose(reported, expected, atol=0.0501)
 
