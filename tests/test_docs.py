@@ -96,7 +96,7 @@ def test_an_example_of_the_gallery_runs_in_a_fresh_interpreter(example, tmp_path
         "plot_error_landscape": ["ill_defined  [0.65 0.35], one minimum: True"],
         "plot_identify_box": [
             "mean of the room",
-            "Each error is shown beside that of the baseline",
+            "Each error is shown beside those of the baselines",
         ],
         "plot_trace_once": ["paths over the materials"],
     }

@@ -245,7 +245,7 @@ def test_a_workbook_has_a_sheet_a_table_and_no_formula(tmp_path):
     assert len(found) == 18
     assert next(iter(book["absorption by band"].values))[1:] == tuple(OCTAVES)
     measured = list(book["room parameters"].values)
-    assert measured[1] == ("S", "R", "fit", "T20_s", 125.0, 1.0, 1.0, 1.0, 1.0)
+    assert measured[1] == ("S", "R", "fit", "T20_s", 125.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     assert measured[6][5] is None
     assert list(book["findings"].values)[1][2] == "'=cmd|'/c calc'!A1?"
 

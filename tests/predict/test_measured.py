@@ -19,7 +19,7 @@ from roomfit.predict.measured import (
 )
 from roomfit.predict.prediction import PredictedDecay
 from roomfit.room.scene import Scene, distances_m
-from roomfit.signals.iso3382 import VALUE_NAMES
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues
 from roomfit.uncertainty.posterior import AbsorptionPosterior, FittedPair
 
 BANDS = bands_between("octave", 250, 2000)
@@ -79,6 +79,23 @@ def test_the_law_of_a_diffuse_field_far_from_the_source_is_that_of_an_exponentia
     # and in a room so large that no wall answers, the level of the free field
     free = diffuse_values(t, 1e12, np.array([5.0]))[0]
     np.testing.assert_allclose(free[VALUE_NAMES.index("G_dB")], 10 * np.log10(4.0), rtol=1e-4)
+
+
+def test_a_result_has_each_pair_beside_a_diffuse_field_with_the_decay_of_the_others():
+    scene, octave = room(3), bands_between("octave", 1000, 1000)
+    given = [(0.8, 2.0), (0.9, 1.0), (1.0, 3.0)]
+    tables = [
+        MeasuredValues("S", f"R{i}", [1000.0], {"T30_s": [t], "C80_dB": [c]})
+        for i, (t, c) in enumerate(given)
+    ]
+    few = roomfit.Settings(n_rays=2000, n_draws=8)
+    result = roomfit.identify(scene, tables, bands=octave, settings=few)
+    for i, (pair, r) in enumerate(zip(result.pairs, distances_m(scene).tolist(), strict=True)):
+        t = np.mean([time for j, (time, _) in enumerate(given) if j != i])
+        late = 31200.0 * t / VOLUME_M3 * np.exp(-0.04 * r / t) * np.exp(-1.104 / t)
+        total = 100.0 / r**2 + late * np.exp(1.104 / t)
+        found = pair.parameters["C80_dB"].diffuse
+        np.testing.assert_allclose(found, 10 * np.log10(total / late - 1.0), rtol=1e-9)
 
 
 def test_a_measured_pair_is_its_measurement_and_a_change_multiplies_it():
