@@ -14,7 +14,6 @@ from roomfit.predict.measured import (
     anchored,
     anchors,
     from_units,
-    given_decays,
     in_units,
 )
 from roomfit.predict.prediction import PredictedDecay
@@ -162,27 +161,6 @@ def test_intervals_hold_as_often_as_they_say(n: int) -> None:
     assert 0.9 < np.mean(held) < 0.985
     if n > 2:
         assert np.sqrt(np.mean(np.square(sds)) / np.mean(np.square(errors))) < 1.3
-
-
-def test_draws_keep_the_sum_that_a_decay_fixes_and_what_it_leaves_open():
-    """Of two walls alike the sum of exponents is known within 2 %, their difference as before."""
-    rng, areas = np.random.default_rng(6), np.array([[30.0, 30.0]])
-    exponents = 0.2 * np.exp(rng.normal(0.0, 0.1, (20_000, 2)))
-    draws = -np.expm1(-exponents)[:, :, None] * np.ones(len(BANDS))
-    absorption = np.full((2, len(BANDS)), -np.expm1(-0.2))
-    covariance = np.tile(0.01 * np.eye(2), (len(BANDS), 1, 1))
-    known = AbsorptionPosterior(
-        ("a", "b"), BANDS, absorption, 0.5 * absorption, 2.0 * absorption, covariance
-    )
-    found = -np.log1p(-given_decays(known, draws, areas, rng))
-    for band in range(len(BANDS)):
-        total, apart = found[:, :, band] @ [1.0, 1.0], found[:, :, band] @ [1.0, -1.0]
-        before = np.std(exponents @ [1.0, 1.0]) / 0.4
-        wanted = 1.0 / np.hypot(1.0 / before, 1.0 / 0.02)
-        assert np.std(total) / np.mean(total) == pytest.approx(wanted, rel=0.05)
-        assert np.mean(total) == pytest.approx(0.4, rel=0.005)
-        assert np.std(apart) == pytest.approx(np.std(exponents @ [1.0, -1.0]), rel=0.02)
-    np.testing.assert_array_equal(given_decays(known, draws, areas[:0], rng), draws)
 
 
 def in_units_slope(values: FloatArray) -> FloatArray:

@@ -559,7 +559,7 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         "receiver": pair.receiver,
         "use": pair.use,
         "state": pair.state or None,
-        "distance_m": round(pair.distance_m, 4),
+        "distance_m": None if np.isnan(pair.distance_m) else round(pair.distance_m, 4),
         "parameters": {
             name: {
                 key: numbers_or_null(values)

@@ -21,7 +21,7 @@ from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
-from roomfit.uncertainty.posterior import AbsorptionPosterior, antithetic_normals
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # Of each parameter, one just noticeable difference: of times in their logarithm.
 _UNIT = np.array([float(jnd_of(name, np.ones(()))) for name in VALUE_NAMES])[:, None]
@@ -39,7 +39,6 @@ _SHARED_PRIOR, _WEIGHT_PRIOR, _SCATTER_PRIOR = 3.0, 30.0, 6.0
 _MOST_SDS = 4.0
 
 _SAME_PLACE_M = 0.05
-_DECAY_SD = 0.02  # relative, of a sum of exponents that the mean of measured decays fixes
 
 
 class Anchor(NamedTuple):
@@ -98,35 +97,6 @@ def _states(known: AbsorptionPosterior, volume: float) -> dict[str, _State]:
         names = tuple((p.source, p.receiver) for p in own)
         found[state] = _State(names, distance_m, measured, off, decay_s)
     return found
-
-
-def given_decays(
-    known: AbsorptionPosterior, draws: FloatArray, areas_m2: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Return draws of the absorption under the condition that fitted states decay as measured.
-
-    A decay fixes the sum of ``-S log(1 - a)`` over the walls of its state, whatever else is open:
-    what the posterior allows it to vary is known better from the decay itself. One step of a Kalman
-    filter for the exponents, whose sums are known within 2 %.
-
-    Shapes: `draws` (n_draws, n_materials, n_bands), as what comes back; `areas_m2` (n_states,
-    n_materials), of the states that were fitted.
-    """
-    found = draws.copy()
-    for band in range(draws.shape[2]):
-        least = _exponents(known.absorption[:, band])
-        own, sums = _exponents(draws[:, :, band]), areas_m2 @ least
-        spread = np.cov(own.T).reshape(least.size, least.size) @ areas_m2.T
-        sd = _DECAY_SD * sums
-        gain = np.linalg.solve(areas_m2 @ spread + np.diag(sd**2), spread.T)
-        off = (own - least) @ areas_m2.T + sd * antithetic_normals(len(own), sums.size, rng)
-        moved = np.maximum(own - off @ gain, 1e-3 * least)
-        found[:, :, band] = np.where(own == least, draws[:, :, band], -np.expm1(-moved))
-    return found
-
-
-def _exponents(absorption: FloatArray) -> FloatArray:
-    return np.asarray(-np.log1p(-np.minimum(absorption, 1.0 - 1e-9)))
 
 
 def anchors(

@@ -27,7 +27,7 @@ from roomfit.predict.decay import (
     pair_numbers,
     with_common_noise,
 )
-from roomfit.predict.measured import Anchor, anchored, anchors, given_decays
+from roomfit.predict.measured import Anchor, anchored, anchors
 from roomfit.predict.prediction import Predicted, PredictedPair, PredictedValue, change_findings
 from roomfit.predict.question import Question
 from roomfit.predict.split import prior_dominated
@@ -86,7 +86,6 @@ def prepare_paths(
     rng = np.random.default_rng(settings.seed)
     draws = draw_absorption(absorption, settings.n_draws, rng)
     areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
-    draws = given_decays(absorption, draws, _fitted_areas_m2(scene, absorption), rng)
     shares = absorption, draws, absorption.materials, areas_m2
     dominated = prior_dominated(*shares, np.random.default_rng(settings.seed))
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
@@ -115,15 +114,6 @@ def prepare_paths(
     return replace(
         room, observed=observed, model=model, anchors=own, before=before, expected=expected
     )
-
-
-def _fitted_areas_m2(scene: Scene, known: AbsorptionPosterior) -> FloatArray:
-    """Return the areas of materials in the states that were fitted, (n_states, n_materials)."""
-    if known.is_other_room or not known.fitted:
-        return np.zeros((0, len(known.materials)))
-    states = ["", *(s.name for s in scene.room.states)]
-    at = [states.index(s) for s in known.fitted_states if s in states]
-    return np.array([material_areas_m2(scene.room, i) for i in at]).reshape(len(at), -1)
 
 
 def _least_absorption(
