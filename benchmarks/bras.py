@@ -87,8 +87,7 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--room", nargs="+", choices=list(TABLES), default=list(TABLES))
     parser.add_argument("--exchanged", action="store_true")
-    asked = parser.parse_args()
-    if asked.folder is None:
+    if (asked := parser.parse_args()).folder is None:
         print("no folder of measurements given: nothing to do")
         return
     for name in asked.room:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from roomfit.predict.measured import (
     anchored,
     anchors,
     from_units,
+    given_others,
     in_units,
 )
 from roomfit.predict.prediction import PredictedDecay
@@ -161,6 +164,19 @@ def test_intervals_hold_as_often_as_they_say(n: int) -> None:
     assert 0.9 < np.mean(held) < 0.985
     if n > 2:
         assert np.sqrt(np.mean(np.square(sds)) / np.mean(np.square(errors))) < 1.3
+
+
+def test_draws_of_another_state_keep_what_the_fitted_states_leave_open():
+    """Of logs a + b + c, with a and a + b known from two states, only c is left."""
+    rng, shape = np.random.default_rng(6), (4000, *SHAPE)
+    a, b, c = (rng.normal(0.0, sd, shape) for sd in (2.0, 1.0, 0.5))
+    middle = plausible(1, rng)
+    others = np.stack([np.concatenate((0.0 * a[:1], x)) for x in (a, a + b)]) + in_units(middle)
+    own = replace(numbers(middle[0], 0.1), draws=from_units(in_units(middle) + a + b + c))
+    found = in_units(given_others(own, from_units(others)).draws)
+    well = np.flatnonzero(np.array(VALUE_NAMES) != "D50_percent")  # which ends at 0 and 100 %
+    np.testing.assert_allclose(np.std(found, axis=0)[well], 0.5, rtol=0.08)
+    np.testing.assert_allclose((np.mean(found, axis=0) - in_units(middle[0]))[well], 0, atol=0.2)
 
 
 def in_units_slope(values: FloatArray) -> FloatArray:

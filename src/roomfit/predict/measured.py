@@ -210,6 +210,24 @@ def anchored(after: PairNumbers, before: PairNumbers, anchor: Anchor) -> PairNum
     )
 
 
+def given_others(numbers: PairNumbers, others: FloatArray) -> PairNumbers:
+    """Return predictions whose draws give what was measured in other states of the room.
+
+    By regression of the parameters on the same ones there. Shapes: `others` (n_states, 1 + n_draws,
+    n_names, n_bands), the first by the likeliest absorption.
+    """
+    there = in_units(others)
+    off = np.nan_to_num(there[:, 1:] - there[:, :1])
+    off -= off.mean(axis=1, keepdims=True)
+    drawn = in_units(numbers.draws)
+    own = np.nan_to_num(drawn - np.mean(drawn, axis=0))
+    squares = np.einsum("sdnb,tdnb->nbst", off, off)
+    least = 1e-9 * np.trace(squares, axis1=2, axis2=3)[..., None, None] + 1e-300
+    both = np.einsum("sdnb,dnb->nbs", off, own)
+    slopes = np.linalg.solve(squares + least * np.eye(len(off)), both[..., None])[..., 0]
+    return replace(numbers, draws=from_units(drawn - np.einsum("sdnb,nbs->dnb", off, slopes)))
+
+
 def _unit_at(values: FloatArray) -> FloatArray:
     """Return a just noticeable difference of room parameters, in their own units."""
     return np.asarray(np.where(_IS_TIME, values, 1.0) * _UNIT)

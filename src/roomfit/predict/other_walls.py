@@ -27,7 +27,7 @@ from roomfit.predict.decay import (
     pair_numbers,
     with_common_noise,
 )
-from roomfit.predict.measured import Anchor, anchored, anchors
+from roomfit.predict.measured import Anchor, anchored, anchors, given_others
 from roomfit.predict.prediction import Predicted, PredictedPair, PredictedValue, change_findings
 from roomfit.predict.question import Question
 from roomfit.predict.split import prior_dominated
@@ -40,7 +40,8 @@ from roomfit.predict.tables import (
     without_jnd,
 )
 from roomfit.result import result_doubts
-from roomfit.room.scene import Scene, material_areas_m2, pair_states
+from roomfit.room.mesh import triangle_areas_m2
+from roomfit.room.scene import Scene, material_areas_m2, materials_of_surfaces, pair_states
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
@@ -105,6 +106,7 @@ def prepare_paths(
     if not is_known:
         return room
     model = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
+    model = _given_fitted_states(room, model)
     own = anchors(absorption, scene, model)
     before, expected = (
         tuple(anchored(n, n, a) for n, a in zip(model, moves, strict=True))
@@ -114,6 +116,42 @@ def prepare_paths(
     return replace(
         room, observed=observed, model=model, anchors=own, before=before, expected=expected
     )
+
+
+def _surface_areas_m2(scene: Scene) -> FloatArray:
+    mesh = scene.room.mesh
+    areas_m2 = np.bincount(mesh.triangle_surface, triangle_areas_m2(mesh), len(mesh.surfaces))
+    return np.asarray(areas_m2, dtype=np.float64)
+
+
+def _given_fitted_states(
+    room: PreparedRoom, model: tuple[PairNumbers, ...]
+) -> tuple[PairNumbers, ...]:
+    """Return predictions of a state that was not fitted, draws as the decays of others allow.
+
+    What each draw says of a fitted state is weighed by the same paths, each material in place of
+    that which its surfaces have there.
+    """
+    known, scene = room.absorption, room.scene
+    names, at = ["", *(s.name for s in scene.room.states)], int(pair_states(scene)[0])
+    if known.is_other_room or not known.fitted or names[at] in known.fitted_states:
+        return model
+    owners, areas_m2 = materials_of_surfaces(scene.room), _surface_areas_m2(scene)
+    swaps = []
+    for state in known.fitted_states:
+        swap = np.arange(len(known.materials))
+        if state in names:
+            for m in np.unique(owners[at]):
+                there = owners[names.index(state), owners[at] == m]
+                swap[m] = np.argmax(np.bincount(there, areas_m2[owners[at] == m]))
+            swaps.append(swap)
+    every = np.concatenate((known.absorption[None], room.draws))
+
+    def of_pair(i: int) -> PairNumbers:
+        there = [room.few[i].values(room.few[i].energies(every[:, swap])) for swap in swaps]
+        return given_others(model[i], np.array(there))
+
+    return tuple(in_forks(of_pair, range(len(model))))
 
 
 def _least_absorption(
