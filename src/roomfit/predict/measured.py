@@ -153,8 +153,8 @@ def anchors(
     found = []
     for i, name in enumerate(names):
         shift, own, is_own = expected[i] - values[i], nothing, nothing
-        # the same names at other places are another pair
-        near = np.abs(here.distance_m - distance_m[i]) < _SAME_PLACE_M
+        # the same names at other places are another pair; old files do not say where it was
+        near = ~(np.abs(here.distance_m - distance_m[i]) > _SAME_PLACE_M)
         rows = [k for k, other in enumerate(here.names) if other == name[:2] and near[k]]
         if rows:
             # what other pairs say of this one, as its recording lets it be evaluated
