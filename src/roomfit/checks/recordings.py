@@ -7,12 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
-from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.findings import About, Code, Finding
 from roomfit.checks.evidence import Evidence, Recorded, about_files, file_name
 from roomfit.fit.measurements import recording_findings
 from roomfit.model.observation import has_data_in_band
-from roomfit.room.inside import is_in_sight
 from roomfit.signals.decay import ParameterName, in_jnd
 from roomfit.signals.measurement import MeasuredPair
 
@@ -46,17 +44,10 @@ def check_copies(evidence: Recorded) -> Iterator[Finding]:
 
 def check_single(evidence: Recorded) -> Iterator[Finding]:
     """Yield what is doubtful of each recording by itself, not of arrivals that have one cause."""
-    measured, scene = evidence.measured, evidence.measured.scene
-    at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
-    for finding in recording_findings(measured.responses, speed_of_sound_m_s(scene.air)):
-        if finding.code is Code.TIME_ZERO_MISMATCH:
-            # round a corner the first sound comes late, as it should
-            ((source, receiver),) = finding.about.pairs
-            late = float(finding.evidence["difference_m"]) > 0.0
-            hidden = late and not is_in_sight(scene.room.mesh, at_m[source], at_m[receiver])
-            if evidence.arrivals or hidden:
-                continue
-        yield finding
+    measured = evidence.measured
+    for finding in recording_findings(measured.scene, measured.responses):
+        if not (evidence.arrivals and finding.code is Code.TIME_ZERO_MISMATCH):
+            yield finding
 
 
 def check_repeats(evidence: Recorded) -> Iterator[Finding]:

@@ -14,6 +14,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
 from roomfit.model.patterns import Directivities
+from roomfit.room.inside import is_in_sight
 from roomfit.room.mesh import refuse
 from roomfit.room.scene import NEAREST_PAIR_M, Scene, distances_m, pair_names, position_findings
 from roomfit.settings import DECAY_RANGE_DB
@@ -152,13 +153,13 @@ def observe(
 ) -> tuple[tuple[MeasuredPair, ...], tuple[Finding, ...]]:
     """Return responses as `on_one_clock` does, and what is doubtful of each by itself."""
     measured = on_one_clock(scene, measurements, bands, decay_range_db)
-    return measured, recording_findings(measured, speed_of_sound_m_s(scene.air))
+    return measured, recording_findings(scene, measured)
 
 
-def recording_findings(
-    measured: Sequence[MeasuredPair], speed_of_sound_m_s: float
-) -> tuple[Finding, ...]:
+def recording_findings(scene: Scene, measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
     """Return what is doubtful of each recording by itself: as read, its onset, its decay range."""
+    speed_m_s, ends = speed_of_sound_m_s(scene.air), (scene.sources, scene.receivers)
+    at_m = [{p.name: p.position_m for p in points} for points in ends]
     read: list[Finding] = []
     evaluated: list[Finding] = []
     for p in measured:
@@ -171,7 +172,10 @@ def recording_findings(
         own = [*range_findings(p.parameters, name)]
         if m.time_zero == "emission":
             onset_s = find_onset(p.response, m.where)
-            own = [*compare_onset(onset_s, p.direct_s, speed_of_sound_m_s, name, rate_hz), *own]
+            places_m = at_m[0][m.source], at_m[1][m.receiver]
+            # round a corner the first sound comes late, as it should
+            if onset_s <= p.direct_s or is_in_sight(scene.room.mesh, *places_m):
+                own = [*compare_onset(onset_s, p.direct_s, speed_m_s, name, rate_hz), *own]
         evaluated += [replace(f, about=replace(f.about, files=[m.where], pairs=pairs)) for f in own]
     return (*read, *evaluated)
 
