@@ -100,6 +100,15 @@ def test_a_result_has_each_pair_beside_a_diffuse_field_with_the_decay_of_the_oth
         np.testing.assert_allclose(found, 10 * np.log10(total / late - 1.0), rtol=1e-9)
 
 
+def test_a_room_whose_fitted_states_it_does_not_have_is_predicted_all_the_same():
+    """The state was named in another campaign; nothing is known of its surfaces here."""
+    scene, rng = room(2), np.random.default_rng(8)
+    unknown = [p._replace(state="elsewhere") for p in fitted(scene, *[plausible(2, rng)] * 2)]
+    known, few = posterior(tuple(unknown)), roomfit.Settings(n_rays=500, n_draws=4)
+    found = roomfit.predict(roomfit.Question(scene, known, settings=few))
+    assert np.all(np.isfinite(found.mean["T30_s"].predicted))
+
+
 def test_a_measured_pair_is_its_measurement_and_a_change_multiplies_it():
     rng, scene = np.random.default_rng(1), room(6)
     model, measured = plausible(6, rng), plausible(6, rng)

@@ -59,6 +59,7 @@ class PreparedRoom:
     observed: tuple[ObservedPair, ...]
     # of every pair, as it was found; none where some absorption is known after a change only
     model: tuple[PairNumbers, ...]  # by the model alone
+    elsewhere: tuple[FloatArray, ...]  # in fitted states, of a state that was not
     anchors: tuple[Anchor, ...]
     before: tuple[PairNumbers, ...]  # as it was measured, or is expected by other pairs
     expected: tuple[PairNumbers, ...]  # by other pairs, whether it was measured or not
@@ -99,13 +100,14 @@ def prepare_paths(
     base = [f.values(e) for f, e in zip(few, energies, strict=True)]
     base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
     room = PreparedRoom(
-        traced, absorption, draws, rng, observed, (), (), (), (), few,
+        traced, absorption, draws, rng, observed, (), (), (), (), (), few,
         np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
         dominated, settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
         return room
     model = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
+    room = replace(room, elsewhere=_in_fitted_states(room))
     model = _given_fitted_states(room, model)
     own = anchors(absorption, scene, model)
     before, expected = (
@@ -125,17 +127,24 @@ def _surface_areas_m2(scene: Scene) -> FloatArray:
 
 
 def _given_fitted_states(
-    room: PreparedRoom, model: tuple[PairNumbers, ...]
+    room: PreparedRoom, numbers: Sequence[PairNumbers]
 ) -> tuple[PairNumbers, ...]:
-    """Return predictions of a state that was not fitted, draws as the decays of others allow.
+    """Return predictions of a state that was not fitted, draws as the decays of others allow."""
+    if not room.elsewhere:
+        return tuple(numbers)
+    return tuple(given_others(n, e) for n, e in zip(numbers, room.elsewhere, strict=True))
 
-    What each draw says of a fitted state is weighed by the same paths, each material in place of
-    that which its surfaces have there.
+
+def _in_fitted_states(room: PreparedRoom) -> tuple[FloatArray, ...]:
+    """Return what the absorption and its draws say of every pair in the states that were fitted.
+
+    By the paths of a state that was not, each material in place of that which its surfaces have
+    there; nothing elsewhere. Shapes (n_states, 1 + n_draws, n_names, n_bands).
     """
     known, scene = room.absorption, room.scene
     names, at = ["", *(s.name for s in scene.room.states)], int(pair_states(scene)[0])
     if known.is_other_room or not known.fitted or names[at] in known.fitted_states:
-        return model
+        return ()
     owners, areas_m2 = materials_of_surfaces(scene.room), _surface_areas_m2(scene)
     swaps = []
     for state in known.fitted_states:
@@ -147,11 +156,10 @@ def _given_fitted_states(
             swaps.append(swap)
     every = np.concatenate((known.absorption[None], room.draws))
 
-    def of_pair(i: int) -> PairNumbers:
-        there = [room.few[i].values(room.few[i].energies(every[:, swap])) for swap in swaps]
-        return given_others(model[i], np.array(there))
+    def of_pair(i: int) -> FloatArray:
+        return np.array([room.few[i].values(room.few[i].energies(every[:, s])) for s in swaps])
 
-    return tuple(in_forks(of_pair, range(len(model))))
+    return tuple(in_forks(of_pair, range(len(room.few)))) if swaps else ()
 
 
 def _least_absorption(
@@ -219,7 +227,7 @@ def _as_measured(
     room: PreparedRoom, after: Sequence[PairNumbers], absorption: FloatArray, draws: FloatArray
 ) -> tuple[PairNumbers, ...]:
     """Return predictions by the model after a change as they begin with what was measured."""
-    found = room.absorption.absorption
+    found, after = room.absorption.absorption, _given_fitted_states(room, after)
     # a factor of 1, or a material in place of itself, exchanges nothing
     others = np.any(draws != room.draws, axis=(0, 2)) | np.any(absorption != found, axis=1)
     # objects take energy from paths, and send none another way
