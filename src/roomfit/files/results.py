@@ -193,7 +193,7 @@ def _fitted_pair(pair: Mapping[str, Any], bands: Bands) -> FittedPair:
         pair["source"],
         pair["receiver"],
         pair.get("state") or "",
-        pair.get("distance_m", np.nan),
+        float(pair.get("distance_m", np.nan)),
     )
     tables = pair["parameters"].items()
     return fitted_pair(place, {n: (c["measured"], c["predicted"]) for n, c in tables}, bands)

@@ -102,6 +102,8 @@ class AbsorptionPosterior:
             if (flags := getattr(self, name)) is not None:
                 checked(name, bool_array(name, flags, (size,)))
         for pair in self.fitted:
+            length_m = np.nan_to_num([pair.distance_m], nan=1.0)  # of an old file
+            float_array("distance of a fitted pair", length_m, (1,), low=0.001, high=1e5)
             for values in (pair.measured, pair.predicted):
                 known = np.nan_to_num(values)  # what is infinite is refused
                 float_array(
