@@ -47,7 +47,7 @@ _CLEAR_OF_NOISE = 2.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Copy:
-    """One recording that stands in two places, sample by sample."""
+    """One recording that stands for two pairs, sample by sample."""
 
     one: Measurement
     other: Measurement
@@ -61,7 +61,7 @@ def counted_once(
     """Return the measurements without copies of one recording, and all copies.
 
     One that stands where the first does adds no information: the one to be fitted is kept. One that
-    is said to be of other places is wrong there or here, and only the user can tell: it stays.
+    is said to be of other positions is wrong there or here, and only the user can tell: it stays.
     """
     at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
     order = sorted(measurements, key=lambda m: m.use != "fit")
@@ -172,9 +172,9 @@ def recording_findings(scene: Scene, measured: Sequence[MeasuredPair]) -> tuple[
         own = [*range_findings(p.parameters, name)]
         if m.time_zero == "emission":
             onset_s = find_onset(p.response, m.where)
-            places_m = at_m[0][m.source], at_m[1][m.receiver]
+            ends_m = at_m[0][m.source], at_m[1][m.receiver]
             # round a corner the first sound comes late, as it should
-            if onset_s <= p.direct_s or is_in_sight(scene.room.mesh, *places_m):
+            if onset_s <= p.direct_s or is_in_sight(scene.room.mesh, *ends_m):
                 own = [*compare_onset(onset_s, p.direct_s, speed_m_s, name, rate_hz), *own]
         evaluated += [replace(f, about=replace(f.about, files=[m.where], pairs=pairs)) for f in own]
     return (*read, *evaluated)
