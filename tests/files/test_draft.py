@@ -21,6 +21,7 @@ from roomfit.files.rooms import read_model
 from roomfit.files.schema import RoomSpec
 from roomfit.files.values import read_positions
 from roomfit.formats.model import METRES_PER_UNIT
+from roomfit.materials.catalogue import catalogue
 from small_campaign import (
     LENGTHS_M,
     RECEIVERS_M,
@@ -135,8 +136,13 @@ def test_materials_are_listed_with_area_surfaces_and_an_entry_by_their_names(tmp
     (tmp_path / "room.obj").write_text(text)
     spec = RoomSpec(file=tmp_path / "room.obj", unit="m")
     drafted = draft_campaign(spec, {}, folder=tmp_path)
-    assert '[materials."Moquette"]  # 12.1 m2: floor\n# prior = "carpet-heavy-on' in drafted
-    assert '# prior = "ceiling-tile-suspended"' in drafted
+    assert (
+        '[materials."Moquette"]  # 12.1 m2: floor\n# prior = "carpet"  # or carpet-thin' in drafted
+    )
+    assert '# prior = "suspended-ceiling"' in drafted and '# prior = "FILL IN"' in drafted
+    for name in catalogue().classes:  # what it asks for is what it takes, once the sign is gone
+        said = drafted.replace('# prior = "FILL IN"', f'prior = "{name}"')
+        assert name in drafted and tomllib.loads(said)["materials"]["walls"] == {"prior": name}
     assert tomllib.loads(drafted)["materials"] == {"walls": {}, "Moquette": {}, "Akustikdecke": {}}
 
 

@@ -104,7 +104,7 @@ def test_a_share_that_only_the_prior_knows_is_named_with_what_would_cure_it():
     low, high = one.evidence["share_lower95"][0], one.evidence["share_upper95"][0]
     assert low < 0.12 and high > 0.6
     assert f"{100 * low:.0f} to {100 * high:.0f} %" in one.sentence
-    assert "curtain-medium-draped" in one.sentence and "roomfit design" in one.sentence
+    assert 'prior = "curtain", "curtain-light"' in one.sentence and "roomfit design" in one.sentence
     # known one by one within a tenth, or stated within a fifth: nothing to say
     assert found(apart) == ()
     narrow = np.full((3, 2), 0.2)

@@ -155,7 +155,8 @@ class RoomTab(Tab):
         )  # fmt: skip
         entries = {e.name: e for e in catalogue().entries}
         likely = [n for n in suggested_entries(material["name"]) if n in entries]
-        words = {n: catalogue_words()[n] for n in dict.fromkeys([*likely, *entries])}
+        first = [*likely, *catalogue().classes]
+        words = {n: catalogue_words()[n] for n in dict.fromkeys([*first, *entries])}
         entry = entries.get(material["prior"])
         prior: dict[str, Any] = {"entry": None if entry is None else entry.name}
         label = f"What {material['name']} is (search the catalogue)"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.schema import RoomSpec
 from roomfit.files.values import UNIT_WORDS
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
-from roomfit.materials.catalogue import suggested_entries
+from roomfit.materials.catalogue import catalogue, suggested_entries
 from roomfit.room.audience import audience_area_m2
 from roomfit.room.mesh import Mesh
 from roomfit.room.scene import is_level_by_name, material_areas, surface_materials
@@ -264,8 +265,11 @@ def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[Room
 
 
 def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
-    lines = ["", "# What is known of a material before the measurement, if anything: a prior or a"]
-    lines += ["# known absorption. Entries of `roomfit catalogue` are suggested by names alone."]
+    text = (
+        f"What each material is, where somebody knows: {', '.join(catalogue().classes)}, or a kind "
+        "of `roomfit catalogue`. Suggested by names alone; what stays a comment is not taken."
+    )
+    lines = ["", *textwrap.wrap(text, 96, initial_indent="# ", subsequent_indent="# ")]
     owners = surface_materials(mesh.surfaces, materials)
     for name, area in material_areas(mesh, materials).items():
         if name is None:
@@ -273,9 +277,8 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
         of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
         where = "".join(c if c.isprintable() else "?" for c in in_short(of))
         lines.append(f"[materials.{value_text(name)}]  # {area:.1f} m2: {where}")
-        if entries := suggested_entries(name):
-            alike = f"  # or {', '.join(entries[1:])}" if entries[1:] else ""
-            lines.append(f'# prior = "{entries[0]}"{alike}')
+        first, *others = suggested_entries(name) or (FILL_IN,)
+        lines.append(f'# prior = "{first}"' + (f"  # or {', '.join(others)}" if others else ""))
     return lines
 
 

@@ -156,10 +156,11 @@ class CatalogueEntry(NamedTuple):
 
 
 class Catalogue(NamedTuple):
-    """All entries, in the order of the file: group by group."""
+    """All entries group by group, classes first."""
 
     entries: tuple[CatalogueEntry, ...]
     common_logit_sd: float  # how far tables differ where they use the same name
+    classes: tuple[str, ...]  # what walls are made of, as people say who do not know which kind
 
 
 @cache
@@ -179,23 +180,46 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
 
     `content`: ``sources`` maps short keys to publications; ``materials`` maps a name to ``group``,
     ``what`` and ``readings``: lists of source key, row, and six values (octaves 125 to 4000 Hz) or
-    seven (from 63 Hz).
+    seven (from 63 Hz); ``classes``, if any, a name to ``what`` and ``of``: which materials it may
+    be. A class has all their readings, and the spread of one reading more.
     """
-    readings, tables = {}, {}
-    for name, material in content["materials"].items():
+    given, readings = content["materials"], {}
+    for name, material in given.items():
         rows = []
         for source, row, values in material["readings"]:
             eight = np.full(8, np.nan)
             eight[7 - len(values) : 7] = values
             rows.append(Reading(content["sources"][source], row, read_only(eight)))
-        readings[name], tables[name] = tuple(rows), np.array([r.absorption for r in rows])
-    common = common_spread(tables.values())
-    entries = []
-    for name, material in content["materials"].items():
-        mean, sd = map(read_only, typical_logit(tables[name], common))
-        group, what = material["group"], material["what"]
-        entries.append(CatalogueEntry(name, group, what, readings[name], mean, sd))
-    return Catalogue(tuple(entries), common)
+        readings[name] = tuple(rows)
+    common = common_spread(map(_table, readings.values()))
+    entries = [
+        _entry(name, m["group"], m["what"], readings[name], common) for name, m in given.items()
+    ]
+    named = content.get("classes", {})
+    pooled = {
+        name: tuple(r._replace(row=f"{of}: {r.row}") for of in own["of"] for r in readings[of])
+        for name, own in named.items()
+    }
+    spread = common_spread(map(_table, pooled.values())) if pooled else common
+    for name, own in named.items():
+        found = _entry(name, given[own["of"][0]]["group"], own["what"], pooled[name], spread)
+        # a class is no average of its kinds but one more of them
+        n = len(distinct(_table(found.readings)))
+        entries.append(found._replace(logit_sd=read_only(found.logit_sd * np.sqrt(1.0 + 1.0 / n))))
+    groups = list(dict.fromkeys(m["group"] for m in given.values()))
+    entries.sort(key=lambda e: (groups.index(e.group), e.name not in named))
+    return Catalogue(tuple(entries), common, tuple(named))
+
+
+def _table(readings: Iterable[Reading]) -> FloatArray:
+    return np.array([r.absorption for r in readings])
+
+
+def _entry(
+    name: str, group: str, what: str, readings: tuple[Reading, ...], common: float
+) -> CatalogueEntry:
+    mean, sd = map(read_only, typical_logit(_table(readings), common))
+    return CatalogueEntry(name, group, what, readings, mean, sd)
 
 
 def find_material(name: str) -> CatalogueEntry:
@@ -253,7 +277,7 @@ def suggested_entries(name: str) -> tuple[str, ...]:
     Examples
     --------
     >>> suggested_entries("Vorhang, Nordseite")[0], suggested_entries("Holztür")
-    ('curtain-medium-draped', ('door-wood-solid',))
+    ('curtain', ('door',))
     """
     plain = name.lower().replace("ü", "ue").replace("_", " ")
     plain = unicodedata.normalize("NFKD", plain)  # accents become letters, which go below
