@@ -139,9 +139,9 @@ def test_materials_are_listed_with_area_surfaces_and_an_entry_by_their_names(tmp
     assert (
         '[materials."Moquette"]  # 12.1 m2: floor\n# prior = "carpet"  # or carpet-thin' in drafted
     )
-    assert '# prior = "suspended-ceiling"' in drafted and '# prior = "FILL IN"' in drafted
+    assert '# prior = "suspended-ceiling"' in drafted and '# prior = "..."' in drafted
     for name in catalogue().classes:  # what it asks for is what it takes, once the sign is gone
-        said = drafted.replace('# prior = "FILL IN"', f'prior = "{name}"')
+        said = drafted.replace('# prior = "..."', f'prior = "{name}"')
         assert name in drafted and tomllib.loads(said)["materials"]["walls"] == {"prior": name}
     assert tomllib.loads(drafted)["materials"] == {"walls": {}, "Moquette": {}, "Akustikdecke": {}}
 

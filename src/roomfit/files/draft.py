@@ -277,7 +277,7 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
         of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
         where = "".join(c if c.isprintable() else "?" for c in in_short(of))
         lines.append(f"[materials.{value_text(name)}]  # {area:.1f} m2: {where}")
-        first, *others = suggested_entries(name) or (FILL_IN,)
+        first, *others = suggested_entries(name) or ("...",)
         lines.append(f'# prior = "{first}"' + (f"  # or {', '.join(others)}" if others else ""))
     return lines
 
