@@ -13,7 +13,7 @@ from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.typing import BoolArray, FloatArray, Progress
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.fit.compare import curve_of, predicted_curve
 from roomfit.fit.paths import traced_by
 from roomfit.fit.trace_plan import (
@@ -95,6 +95,11 @@ class TracedRoom:
         bands_of = {f: (rows[pair],) for f, rows in self.binned.by_band.items()}
         own = BinnedPaths(self.binned.edges_s, (self.binned.rows[pair],), bands_of)
         return replace(self, scene=select_pairs(self.scene, slice(pair, pair + 1)), binned=own)
+
+    def in_bands(self, at: IntArray) -> TracedRoom:
+        """Return the same room in some bands, given by their indices."""
+        own = Bands(self.bands.kind, self.bands.centres_hz[at])
+        return replace(self, bands=own, by_pressures=self.by_pressures[at])
 
     def energies(self, absorption: FloatArray) -> FloatArray:
         """Return the energies of every pair in bins of 0.1 ms, shape (n_pairs, n_bands, n_bins).

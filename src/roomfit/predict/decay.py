@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,27 +39,44 @@ class PairNumbers:
     sti: PairNumbers | None = None
 
 
-# By band the absorptions that were weighed last, (n_points, n_materials), and what they gave: room
-# parameters (n_points, n_names) and modulation transfers. Of a slider that moves, one band is new.
-LatestBands = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+class BandNumbers(NamedTuple):
+    """What the paths of a pair give in one band: all of them, and few for the draws."""
+
+    absorptions: FloatArray  # (1 + n_draws, n_materials)
+    values: FloatArray  # (n_names,), by all paths
+    transfer: FloatArray  # (14,), modulation, likewise; empty where no speech index is asked for
+    of_few: FloatArray  # (1 + n_draws, n_names)
+    transfer_of_few: FloatArray  # (1 + n_draws, 14)
+    levels_db: FloatArray  # (3, n_times), of the decay by all paths, and of its 95 % interval
 
 
-def _latest_values(
-    rows: ReducedRows, absorptions: FloatArray, latest: LatestBands, *, with_transfer: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return room parameters and modulation transfers, of bands that have not changed from memory.
+# What each band gave last: of a slider that moves, one band is new.
+LatestBands = dict[int, BandNumbers]
 
-    Shapes: `values` (n_points, n_names, n_bands), `transfer` (n_points, n_bands, 14).
-    """
-    found = []
-    for band in range(len(rows.by_band)):
-        own, known = absorptions[:, :, band].copy(), latest.get(band)
-        if known is None or not np.array_equal(known[0], own):
-            energies = rows.band_energies(band, own)
-            transfer = rows.modulation(energies) if with_transfer else np.empty((len(own), 0))
-            known = latest[band] = (own, rows.band_values(band, energies), transfer)
-        found.append(known)
-    return np.stack([f[1] for f in found], axis=2), np.stack([f[2] for f in found], axis=1)
+
+def _band_numbers(
+    room: TracedRoom, pair: int, rows: ReducedRows, absorptions: FloatArray, *, with_transfer: bool
+) -> BandNumbers:
+    """Return what a room of one band gives; `rows` are of that band, too."""
+    curve, values = room.decay(pair, absorptions[0])
+    times_s = _picture_times_s(room)
+    energies = rows.energies(absorptions)
+    shapes_db = np.array([rows.decay(e).levels_db(times_s)[0] for e in energies])
+    middle_db = curve.levels_db(times_s)[0]
+    ends_db = np.quantile(shapes_db[1:] - shapes_db[0], (0.025, 0.975), axis=0)
+    nothing = np.empty((len(absorptions), 0))
+    return BandNumbers(
+        absorptions[:, :, 0],
+        values[:, 0],
+        modulation_transfer(curve)[0] if with_transfer else nothing[0],
+        rows.values(energies)[:, :, 0],
+        rows.modulation(energies[:, 0]) if with_transfer else nothing,
+        np.stack((middle_db, middle_db + ends_db[0], middle_db + ends_db[1])),
+    )
+
+
+def _picture_times_s(room: TracedRoom) -> FloatArray:
+    return np.linspace(0.0, float(room.edges_s[-1]), _PICTURE_POINTS)
 
 
 def extrapolated_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> FloatArray:
@@ -80,82 +98,87 @@ def pair_numbers(
     room: TracedRoom,
     pair: int,
     rows: ReducedRows,
-    absorption: FloatArray,
-    draws: FloatArray,
+    absorptions: FloatArray,
     speech_db: FloatArray | None = None,
+    before: PairNumbers | None = None,
+    latest: LatestBands | None = None,
 ) -> PairNumbers:
     """Return the predictions for one pair of a room.
 
-    Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands),
-    `speech_db` (2, 7).
+    By all paths under the first absorption; draws from there by what fewer tell: times by their
+    ratio, all else by the difference. Noise is that of theory, or goes on from what it was `before`
+    the walls changed. `latest` is what was found last, and is brought up to date.
+
+    Shapes: `absorptions` (1 + n_draws, n_materials, n_bands), `speech_db` (2, 7).
     """
-    curve, values = room.decay(pair, absorption)
-    times = np.linspace(0.0, float(curve.time_s[-1]), _PICTURE_POINTS)
-    energies = rows.energies(np.stack([absorption, *draws]))
-    found = rows.values(energies)
-    shapes = np.stack([rows.decay(energy).levels_db(times) for energy in energies])
-    decay_db = curve.levels_db(times)
-    low, high = np.quantile(shapes[1:] - shapes[0], (0.025, 0.975), axis=0)
-    drawn = moved(values, found[1:], found[0])
-    decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
-    if sti_missing(room.bands):
-        noise_sd, common = room.scatter(pair, absorption)
-        return PairNumbers(
-            values, drawn, noise_sd[:-1], decay, common[:-1], 0.0 * values, noise_sd[:-1]
-        )
-    at_listener = (room.bands, modulation_transfer(curve), values[-1], speech_db)
-    index = room_sti(*at_listener)
-    of_draws = rows.sti(energies, found, speech_db)
-    noise_sd, common = room.scatter(pair, absorption, room_sti_weights(*at_listener))
-    # bands scatter by themselves; one trace serves all
-    sti_sd = np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None]
-    sti = PairNumbers(
-        index.reshape(1, 1),
-        np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1),
-        sti_sd,
-        decay,
-        common[-1:].sum(keepdims=True),
-        model_sd("STI", np.zeros((1, 1))),
-        sti_sd,
-    )
-    return PairNumbers(
-        values, drawn, noise_sd[:-1], decay, common[:-1], 0.0 * values, noise_sd[:-1], sti
-    )
+    with_sti, latest = not sti_missing(room.bands), {} if latest is None else latest
+    for band in range(len(room.bands)):
+        own, at = absorptions[:, :, band : band + 1], np.array([band])
+        if band not in latest or not np.array_equal(latest[band].absorptions, own[:, :, 0]):
+            one = room.in_bands(at), pair, rows.in_bands(at), own
+            latest[band] = _band_numbers(*one, with_transfer=with_sti)
+    bands = [latest[band] for band in range(len(room.bands))]
+    values = np.stack([b.values for b in bands], axis=1)
+    of_few = np.stack([b.of_few for b in bands], axis=2)
+    levels_db = np.stack([b.levels_db for b in bands], axis=1)
+    decay = PredictedDecay(_picture_times_s(room), *levels_db)
+    numbers = _without_noise(values, moved(values, of_few[1:], of_few[0]), decay)
+    weights = None
+    if with_sti:
+        at_listener = room.bands, np.stack([b.transfer for b in bands]), values[-1], speech_db
+        index, weights = room_sti(*at_listener), room_sti_weights(*at_listener)
+        transfer = np.stack([b.transfer_of_few for b in bands], axis=1)
+        of_draws = room_sti(room.bands, transfer, of_few[:, -1], speech_db)
+        drawn = np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1)
+        numbers = replace(numbers, sti=_without_noise(index.reshape(1, 1), drawn, decay))
+    if before is None:
+        return _with_noise_of_theory(numbers, *room.scatter(pair, absorptions[0], weights))
+    return _with_noise_before(numbers, before)
 
 
-def changed_numbers(
-    before: PairNumbers,
-    rows: ReducedRows,
-    absorptions: FloatArray,
-    base: tuple[FloatArray, FloatArray],
-    speech_db: FloatArray | None,
-    latest: LatestBands,
+def _without_noise(values: FloatArray, draws: FloatArray, decay: PredictedDecay) -> PairNumbers:
+    nothing = np.zeros_like(values)
+    return PairNumbers(values, draws, nothing, decay, nothing, nothing, nothing)
+
+
+def _with_noise_of_theory(
+    numbers: PairNumbers, noise_sd: FloatArray, common: FloatArray
 ) -> PairNumbers:
-    """Return the predictions for one pair after its walls have changed, in milliseconds.
-
-    Carried over from those before by what fewer paths tell, as draws are: for times by their ratio,
-    for all else by the difference. Interference goes with the number of its independent parts: the
-    standard deviation of a time as its square root, see `value_covariances`; those of C50, C80, G
-    and the speech transmission index stay, and that of D50 follows C50. The picture of the decay is
-    that before.
-
-    Shapes: `absorptions` (1 + n_draws, n_materials, n_bands), `base` (n_names, n_bands),
-    `speech_db` (2, 7).
-    """
-    sti = before.sti
-    there, transfer = _latest_values(rows, absorptions, latest, with_transfer=sti is not None)
-    values = moved(before.values, there, base[0])
-    noise_sd, d50 = before.noise_sd.copy(), VALUE_NAMES.index("D50_percent")
-    times = [*np.flatnonzero(RELATIVE), VALUE_NAMES.index("TS_ms")]
-    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
-        ratio = values[0] / before.values
-        noise_sd[times] *= np.sqrt(ratio[times])
-        noise_sd[d50] *= ratio[d50] * (100.0 - values[0, d50]) / (100.0 - before.values[d50])
+    """Return numbers with their noise, (n_names + 1, n_bands), last of the speech index."""
+    sti = numbers.sti
     if sti is not None:
-        now = room_sti(rows.bands, transfer, there[:, -1], speech_db)
-        index = extrapolated_sti(before, now, base[1])
-        sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
-    return replace(before, values=values[0], draws=values[1:], noise_sd=noise_sd, sti=sti)
+        # bands scatter by themselves; one trace serves all
+        sti = replace(
+            _with_noise(sti, np.sqrt(np.sum(noise_sd[-1:] ** 2, keepdims=True)), common[-1:]),
+            common_noise=common[-1:].sum(keepdims=True),
+            shared_sd=model_sd("STI", np.zeros((1, 1))),
+        )
+    return replace(_with_noise(numbers, noise_sd[:-1], common[:-1]), sti=sti)
+
+
+def _with_noise(numbers: PairNumbers, noise_sd: FloatArray, common: FloatArray) -> PairNumbers:
+    return replace(numbers, noise_sd=noise_sd, scatter_sd=noise_sd, common_noise=common)
+
+
+def _with_noise_before(numbers: PairNumbers, before: PairNumbers) -> PairNumbers:
+    """Return numbers after a change with the noise before it.
+
+    Interference goes with the number of its independent parts: the standard deviation of a time as
+    its square root, see `value_covariances`; those of C50, C80, G and the speech transmission index
+    stay, and that of D50 follows C50.
+    """
+    values, noise_sd = numbers.values, before.noise_sd.copy()
+    times = [*np.flatnonzero(RELATIVE), VALUE_NAMES.index("TS_ms")]
+    d50 = VALUE_NAMES.index("D50_percent")
+    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+        ratio = values / before.values
+        noise_sd[times] *= np.sqrt(ratio[times])
+        noise_sd[d50] *= ratio[d50] * (100.0 - values[d50]) / (100.0 - before.values[d50])
+    sti = before.sti
+    if sti is not None and numbers.sti is not None:
+        sti = replace(sti, values=numbers.sti.values, draws=numbers.sti.draws)
+    own = replace(before, values=values, draws=numbers.draws, decay=numbers.decay)
+    return replace(own, noise_sd=noise_sd, sti=sti)
 
 
 def with_common_noise(

@@ -23,7 +23,6 @@ from roomfit.predict.changes import Change, change_text, changed_draws
 from roomfit.predict.decay import (
     LatestBands,
     PairNumbers,
-    changed_numbers,
     pair_numbers,
     with_common_noise,
 )
@@ -106,7 +105,7 @@ def prepare_paths(
     )  # fmt: skip
     if not is_known:
         return room
-    model = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
+    model = _numbers(room, found, draws, part(progress, 0.6, 1.0))
     room = replace(room, elsewhere=_in_fitted_states(room))
     model = _given_fitted_states(room, model)
     own = anchors(absorption, scene, model)
@@ -177,19 +176,21 @@ def _least_absorption(
     return np.asarray(np.min(followed, axis=0)), is_known
 
 
-def _exact_numbers(
+def _numbers(
     room: PreparedRoom,
     absorption: FloatArray,
     draws: FloatArray,
     progress: Progress | None,
 ) -> tuple[PairNumbers, ...]:
-    """Return the numbers of every pair from all paths."""
+    """Return the numbers of every pair, as nothing is known of them before."""
     n_pairs = len(room.scene.pairs)
     _LOG.info("predicting")
     shown = in_this_process(progress)
 
+    absorptions = np.concatenate((absorption[None], draws))
+
     def of_pair(i: int) -> PairNumbers:
-        one = pair_numbers(room.traced, i, room.few[i], absorption, draws, room.speech_db)
+        one = pair_numbers(room.traced, i, room.few[i], absorptions, room.speech_db)
         if shown is not None:
             shown((i + 1) / n_pairs)
         return one
@@ -200,7 +201,7 @@ def _exact_numbers(
 def numbers_at(
     room: PreparedRoom, absorption: FloatArray, draws: FloatArray
 ) -> tuple[PairNumbers, ...]:
-    """Return the numbers of every pair under another absorption, from few paths.
+    """Return the numbers of every pair under another absorption.
 
     Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands).
     """
@@ -214,20 +215,11 @@ def numbers_at(
     absorptions = np.concatenate((absorption[None], draws))
 
     def numbers(i: int) -> PairNumbers:
-        base = room.base[i], room.base_sti[i]
-        return changed_numbers(
-            room.model[i], room.few[i], absorptions, base, room.speech_db, room.latest[i]
-        )
+        own = room.few[i], absorptions, room.speech_db, room.model[i], room.latest[i]
+        return pair_numbers(room.traced, i, *own)
 
-    after = tuple(each_in_threads(numbers, len(room.few)))
-    return _as_measured(room, after, absorption, draws)
-
-
-def _as_measured(
-    room: PreparedRoom, after: Sequence[PairNumbers], absorption: FloatArray, draws: FloatArray
-) -> tuple[PairNumbers, ...]:
-    """Return predictions by the model after a change as they begin with what was measured."""
-    found, after = room.absorption.absorption, _given_fitted_states(room, after)
+    after = _given_fitted_states(room, tuple(each_in_threads(numbers, len(room.few))))
+    found = room.absorption.absorption
     # a factor of 1, or a material in place of itself, exchanges nothing
     others = np.any(draws != room.draws, axis=(0, 2)) | np.any(absorption != found, axis=1)
     # objects take energy from paths, and send none another way
@@ -242,9 +234,7 @@ def predict_paths(
     room: PreparedRoom,
     changes: Sequence[Change],
     *,
-    exact: bool,
     compare_pairs: bool,
-    progress: Progress | None,
 ) -> Predicted:
     """Predict a prepared room with changes, see `roomfit.predict.predict.predict_change`."""
     absorption, scene = room.absorption, room.scene
@@ -253,15 +243,12 @@ def predict_paths(
     names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
     changed = [names.index(c.material) for c in changes]
     numbers: list[tuple[PairNumbers, ...]] = [room.before]
-    if changes and not exact:
+    if changes and room.before:
         numbers = [numbers_at(room, expected, drawn), room.before]
-    elif changes:
-        after = _exact_numbers(room, expected, drawn, progress)
-        if room.before:
-            numbers = [_as_measured(room, after, expected, drawn), room.before]
-        else:  # of walls that were fitted elsewhere
-            moves = anchors(replace(absorption, is_other_room=True), scene, after)
-            numbers = [tuple(anchored(n, n, a) for n, a in zip(after, moves, strict=True))]
+    elif changes:  # of walls that were fitted elsewhere
+        after = _numbers(room, expected, drawn, None)
+        moves = anchors(replace(absorption, is_other_room=True), scene, after)
+        numbers = [tuple(anchored(n, n, a) for n, a in zip(after, moves, strict=True))]
     named = {c.material for c in changes}
     doubts += tuple(f for f in room.dominated if named & set(f.about.materials))
     pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from roomfit.base.kernels import one_blas_thread
-from roomfit.base.typing import Progress, part
+from roomfit.base.typing import Progress
 from roomfit.predict.changes import Change
 from roomfit.predict.diffuse import PreparedField, predict_field, prepare_field
 from roomfit.predict.other_walls import PreparedRoom, predict_paths, prepare_paths
@@ -68,9 +68,8 @@ def predict(question: Question, *, progress: Progress | None = None) -> Predicte
     ``roomfit.predict(roomfit.question_of(campaign, result))`` is what the command line does.
     """
     began, changes = time.perf_counter(), question.changes
-    room = prepare(question, (changes,), progress=part(progress, 0.0, 0.75 if changes else 1.0))
-    done = part(progress, 0.75, 1.0)
-    found = predict_change(room, changes, exact=True, progress=done)
+    room = prepare(question, (changes,), progress=progress)
+    found = predict_change(room, changes)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -96,21 +95,17 @@ def predict_change(
     room: ChangingRoom,
     changes: Sequence[Change] = (),
     *,
-    exact: bool = False,
     compare_pairs: bool = True,
-    progress: Progress | None = None,
 ) -> Predicted:
     """Predict a prepared room with changes, as `predict` does.
+
+    Bands in which the last change had the same absorption are not evaluated anew.
 
     Parameters
     ----------
     room : PreparedRoom or PreparedField
         From `prepare`.
     changes : sequence of Change
-    exact : bool
-        From all paths, in seconds; else carried over from the room as it was found by few of them,
-        in half a second or less, and of bands that the last change had alike nothing anew: pictures
-        of decays are then those before.
     compare_pairs : bool
         Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
         nothing was measured interference is then taken to be another after the change, so that
@@ -118,4 +113,4 @@ def predict_change(
     """
     if isinstance(room, PreparedField):
         return predict_field(room, changes)
-    return predict_paths(room, changes, exact=exact, compare_pairs=compare_pairs, progress=progress)
+    return predict_paths(room, changes, compare_pairs=compare_pairs)
