@@ -66,7 +66,7 @@ def turned_walls(data: Path, result_file: Path | None, at_most_s: float) -> None
         products.append(
             Product(
                 f"{wall} panels, absorbing side", known.absorption[index], nothing,
-                1.0 / area, 0.9999 * area, material=f"{wall}, absorbing",
+                1.0 / area, 0.9999 * area, entry=f"{wall}, absorbing",
             )
         )  # fmt: skip
         surfaces.append(Surface(name, products=(products[-1].name,)))

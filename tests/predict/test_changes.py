@@ -20,8 +20,7 @@ def drawn_with(*changes: Change):
         NAMES, BANDS, a, a, a, np.zeros((2, 3, 3)), objects={"people": 100.0}
     )
     draws = np.tile(a, (N_DRAWS, 1, 1)) * np.linspace(0.5, 1.5, N_DRAWS)[:, None, None]
-    rng = np.random.default_rng(5)
-    absorption, drawn, _ = changed_draws(known, draws, changes, rng)
+    absorption, drawn, _ = changed_draws(known, draws, changes, 5)
     return a, absorption, draws, drawn
 
 

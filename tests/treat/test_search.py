@@ -14,7 +14,8 @@ from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
 from roomfit.files.questions import question_of
-from roomfit.predict.predict import prepare
+from roomfit.predict.changes import read_change
+from roomfit.predict.predict import predict_change, prepare
 from roomfit.predict.question import Question
 from roomfit.report.treated import treatment_sentence
 from roomfit.settings import Settings
@@ -158,6 +159,24 @@ def test_a_part_covered_surface_has_the_mean_by_area(room):
     np.testing.assert_allclose(half, 0.5 * (own + products()[0].absorption))
     draws = treated_draws(question, pieces / 2.0)
     np.testing.assert_allclose(draws[:, m], 0.5 * (room.draws[:, m] + question.drawn[:, 0]))
+
+
+def test_an_arrangement_does_what_the_change_is_predicted_to_do(room):
+    """Two products share a wall: means, intervals and draws of both commands are the same."""
+    targets = (*at_most(room, 0.72), Target("C50_dB", low=-10.0, bands_hz=(500.0,)))
+    found = treat(room, SURFACES, products(), targets, number=3)
+    assert len(found.arrangements) > 1
+    assert any(len({h.surface for h in a.hung}) < len(a.hung) for a in found.arrangements)
+    for arrangement in found.arrangements:
+        changes = [read_change(hung.change) for hung in arrangement.hung]
+        mean = predict_change(room, changes).mean
+        for name, value in arrangement.mean.items():
+            for row in ("predicted", "lower95", "upper95", "measured", "sd_rest"):
+                own, other = getattr(value, row), getattr(mean[name], row)
+                np.testing.assert_allclose(own, other, rtol=1e-6, err_msg=f"{name} {row}")
+            np.testing.assert_allclose(
+                value.change.change_lower95, mean[name].change.change_lower95, rtol=1e-6
+            )
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,13 +114,10 @@ def what_if(folder: Path, changes: list[str], doubted: bool = False) -> dict[str
     own = [read_change(text) for text in changes]
     # the process may have been ended meanwhile and started again
     room = _ready[folder][1] if folder in _ready else _ready_room(folder, doubted)
-    if isinstance(room, PreparedField):
-        predicted = predict_change(room, own)
-        said = predicted.findings
-    else:
-        # nothing measured stands beside: means are over all pairs in every band
-        predicted = predict_change(replace(room, observed=()), own, compare_pairs=False)
-        said = tuple(f for f in predicted.findings if f.code is Code.CHANGE_PRIOR_DOMINATED)
+    predicted = predict_change(room, own)
+    said = predicted.findings
+    if not isinstance(room, PreparedField):
+        said = tuple(f for f in said if f.code is Code.CHANGE_PRIOR_DOMINATED)
     return {
         "findings": [
             encoding.finding_content(f) for f in said if f.code is not Code.MATERIALS_CHANGED

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +55,6 @@ class PreparedField:
     field: DiffuseField
     absorption: AbsorptionPosterior
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
-    rng: np.random.Generator  # to be copied: equal changes are drawn alike
     measured_s: FloatArray  # (n_bands,), NaN where nothing was measured
     measured_sd_s: FloatArray  # (n_bands,), as `roomfit reverberation` states it
     scatter: FloatArray  # (n_bands,), relative sd of a mean over as many positions; 0: unknown
@@ -117,7 +115,7 @@ def prepare_field(
         # where no scattering gives the time, the error stays
         before, error = directed, before + error - directed
     return PreparedField(
-        scene, field, known, draws, rng, measured, sd, scatter, error,
+        scene, field, known, draws, measured, sd, scatter, error,
         np.stack(effects), scattering, before, settings.seed, (_source(field), *_shape(field)),
     )  # fmt: skip
 
@@ -257,12 +255,13 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
 
     What was measured before is kept, with its interval, and carried over by the change.
     """
-    began, known, rng = time.perf_counter(), room.absorption, deepcopy(room.rng)
-    expected, drawn, doubts = changed_draws(known, room.draws, changes, rng)
+    began, known = time.perf_counter(), room.absorption
+    expected, drawn, doubts = changed_draws(known, room.draws, changes, room.seed)
     means, _ = field_values(room, expected, drawn, is_changed=bool(changes))
     if changes:
         areas_m2 = room.field.areas_m2.sum(axis=0)
         names = [c.material for c in changes]
+        rng = np.random.default_rng(room.seed)
         doubts += prior_dominated(known, room.draws, names, areas_m2, rng, from_times=True)
     lower, upper = known.lower95.copy(), known.upper95.copy()
     at = [known.materials.index(c.material) for c in changes]

@@ -23,7 +23,6 @@ from roomfit.predict.question import Question
 from roomfit.result import result_doubts
 from roomfit.signals.decay import scaled_response
 from roomfit.signals.measurement import MeasuredPair, Measurement
-from roomfit.uncertainty.posterior import draw_absorption
 
 # Ratios are means over a tenth of the time since the direct sound, and over 10 ms at most: of
 # decays of .3 and .6 s the mean over 20 ms is off by 0.1 dB.
@@ -97,9 +96,8 @@ def listen(
     if not measurements:
         needed, hint = "[[measurements]] with a file", "roomfit predict needs no recordings"
         raise InputError("no measured response to change", found="none", needed=needed, hint=hint)
-    rng = np.random.default_rng(settings.seed)
     old = absorption.absorption
-    new, _, findings = changed_draws(absorption, draw_absorption(absorption, 2, rng), changes, rng)
+    new, _, findings = changed_draws(absorption, old[None], changes, settings.seed)
     materials = scene.room.materials
     unknown = [c.material for c in changes if absorption.is_unknown[materials.index(c.material)]]
     if unknown:

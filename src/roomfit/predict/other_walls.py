@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -54,7 +53,6 @@ class PreparedRoom:
     traced: TracedRoom
     absorption: AbsorptionPosterior
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
-    rng: np.random.Generator  # to be copied: equal changes are drawn alike
     observed: tuple[ObservedPair, ...]
     # of every pair, as it was found; none where some absorption is known after a change only
     model: tuple[PairNumbers, ...]  # by the model alone
@@ -84,12 +82,11 @@ def prepare_paths(
     question.check()
     scene, absorption, settings = question.scene, question.known, question.settings
     speech_db = question.speech_db
-    rng = np.random.default_rng(settings.seed)
-    draws = draw_absorption(absorption, settings.n_draws, rng)
+    draws = draw_absorption(absorption, settings.n_draws, np.random.default_rng(settings.seed))
     areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
     shares = absorption, draws, absorption.materials, areas_m2
     dominated = prior_dominated(*shares, np.random.default_rng(settings.seed))
-    least, is_known = _least_absorption(absorption, draws, alternatives, rng)
+    least, is_known = _least_absorption(absorption, alternatives)
     observed, measured_findings = observed_pairs(scene, question.measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
     traced = trace_room(scene, absorption, least, longest_s, settings, done)
@@ -99,7 +96,7 @@ def prepare_paths(
     base = [f.values(e) for f, e in zip(few, energies, strict=True)]
     base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
     room = PreparedRoom(
-        traced, absorption, draws, rng, observed, (), (), (), (), (), few,
+        traced, absorption, draws, observed, (), (), (), (), (), few,
         np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
         dominated, settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
@@ -162,17 +159,15 @@ def _in_fitted_states(room: PreparedRoom) -> tuple[FloatArray, ...]:
 
 
 def _least_absorption(
-    absorption: AbsorptionPosterior,
-    draws: FloatArray,
-    alternatives: Sequence[Sequence[Change]],
-    rng: np.random.Generator,
+    absorption: AbsorptionPosterior, alternatives: Sequence[Sequence[Change]]
 ) -> tuple[FloatArray, bool]:
     """Return the least absorption of all alternatives, and whether that before them is known."""
     names = absorption.materials
     changed = [names.index(c.material) for one in alternatives for c in one if c.material in names]
     is_known = not absorption.is_unknown[changed].any()
-    followed = [changed_draws(absorption, draws, c, deepcopy(rng))[0] for c in alternatives]
-    followed += [absorption.absorption] if is_known or not followed else []
+    found = absorption.absorption
+    followed = [changed_draws(absorption, found[None], c, 0)[0] for c in alternatives]
+    followed += [found] if is_known or not followed else []
     return np.asarray(np.min(followed, axis=0)), is_known
 
 
@@ -230,16 +225,11 @@ def numbers_at(
     )
 
 
-def predict_paths(
-    room: PreparedRoom,
-    changes: Sequence[Change],
-    *,
-    compare_pairs: bool,
-) -> Predicted:
+def predict_paths(room: PreparedRoom, changes: Sequence[Change]) -> Predicted:
     """Predict a prepared room with changes, see `roomfit.predict.predict.predict_change`."""
     absorption, scene = room.absorption, room.scene
-    began, bands, rng = time.perf_counter(), absorption.bands, deepcopy(room.rng)
-    expected, drawn, doubts = changed_draws(absorption, room.draws, changes, rng)
+    began, bands = time.perf_counter(), absorption.bands
+    expected, drawn, doubts = changed_draws(absorption, room.draws, changes, room.seed)
     names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
     changed = [names.index(c.material) for c in changes]
     numbers: list[tuple[PairNumbers, ...]] = [room.before]
@@ -251,7 +241,7 @@ def predict_paths(
         numbers = [tuple(anchored(n, n, a) for n, a in zip(after, moves, strict=True))]
     named = {c.material for c in changes}
     doubts += tuple(f for f in room.dominated if named & set(f.about.materials))
-    pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
+    pairs, means, sti = _tables(room, numbers)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     stated = change_findings(changes, bool(room.before and room.observed), bands, means)
@@ -289,15 +279,15 @@ def _object_areas(known: AbsorptionPosterior, values: FloatArray) -> dict[str, F
 
 
 def _tables(
-    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]], *, compare_pairs: bool
+    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]]
 ) -> tuple[tuple[PredictedPair, ...], dict[ValueName, PredictedValue], PredictedValue | None]:
     """Return what is predicted of every pair, and the means over them."""
     scene, bands, observed = room.scene, room.absorption.bands, room.observed
     if not room.before:
         observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
     expected = room.expected or numbers[0]
-    means, sti = predicted_means(scene, numbers, observed, expected)
-    of_pairs = [expected] if len(numbers) == 1 else numbers if compare_pairs else numbers[:1]
+    means, sti, _ = predicted_means(scene, numbers, observed, expected)
+    of_pairs = [expected] if len(numbers) == 1 else numbers
     pairs = predicted_pairs(scene, bands, of_pairs, observed, expected)
     if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement

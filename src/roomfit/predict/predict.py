@@ -94,8 +94,6 @@ def prepare(
 def predict_change(
     room: ChangingRoom,
     changes: Sequence[Change] = (),
-    *,
-    compare_pairs: bool = True,
 ) -> Predicted:
     """Predict a prepared room with changes, as `predict` does.
 
@@ -106,11 +104,7 @@ def predict_change(
     room : PreparedRoom or PreparedField
         From `prepare`.
     changes : sequence of Change
-    compare_pairs : bool
-        Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
-        nothing was measured interference is then taken to be another after the change, so that
-        intervals of changes are too wide.
     """
     if isinstance(room, PreparedField):
         return predict_field(room, changes)
-    return predict_paths(room, changes, compare_pairs=compare_pairs)
+    return predict_paths(room, changes)

@@ -125,25 +125,32 @@ def predicted_means(
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[ObservedPair],
     expected: Sequence[PairNumbers],
-) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
-    """Return means over the measured pairs of each band, over all where none was measured."""
+) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None, FloatArray]:
+    """Return means over the measured pairs of each band, over all where none was measured.
+
+    And draws of them after the last change, (n_draws, n_names + 1, n_bands): last stands the speech
+    transmission index, alike in every band.
+    """
     of_pairs = [
         [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
     ]
     shape = numbers[0][0].values.shape
     measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
-    means = _mean_table(VALUE_NAMES, (*numbers, expected), measured)
+    means, drawn = _mean_table(VALUE_NAMES, (*numbers, expected), measured)
     of_speech = [[n.sti for n in own if n.sti is not None] for own in (*numbers, expected)]
-    if not of_speech[0]:
-        return means, None
-    index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
-    return means, _mean_table(("STI",), of_speech, index)["STI"]
+    sti, index_drawn = None, np.full((len(drawn), 1, 1), np.nan)
+    if of_speech[0]:
+        index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
+        table, index_drawn = _mean_table(("STI",), of_speech, index)
+        sti = table["STI"]
+    index_drawn = np.broadcast_to(index_drawn, (len(drawn), 1, shape[1]))
+    return means, sti, np.concatenate((drawn, index_drawn), axis=1)
 
 
 def _mean_table(
     names: Sequence[N], numbers: Sequence[Sequence[PairNumbers]], measured: FloatArray
-) -> dict[N, PredictedValue]:
-    """Return the means of some parameters; the last numbers are those expected before.
+) -> tuple[dict[N, PredictedValue], FloatArray]:
+    """Return the means of some parameters, and draws; the last numbers are those expected before.
 
     Shapes: `measured` (n_pairs, n_names, n_bands).
     """
@@ -154,7 +161,8 @@ def _mean_table(
     weights = chosen / chosen.sum(axis=0)
     observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
     *states, expected = [_mean_numbers(of_state, weights) for of_state in numbers]
-    return _table(names, states, observed, np.full_like(observed, np.nan), expected.values)
+    nothing = np.full_like(observed, np.nan)
+    return _table(names, states, observed, nothing, expected.values), states[0].draws
 
 
 def _mean_numbers(numbers: Sequence[PairNumbers], weights: FloatArray) -> PairNumbers:

@@ -15,6 +15,7 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, Progress
+from roomfit.predict.changes import Change, change_text
 from roomfit.predict.diffuse import PreparedField, field_values, in_rows
 from roomfit.predict.other_walls import numbers_at
 from roomfit.predict.predict import ChangingRoom
@@ -50,6 +51,7 @@ class Hung:
     product: str
     area_m2: float
     share: float  # of the surface
+    change: str  # as `roomfit predict --set` takes it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +149,9 @@ def treat(
 
     margin = np.zeros(len(problem.target))
     tried = [best(margin)]
-    for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
+    for _ in range(_MARGIN_ROUNDS):
+        if probability <= 0.5 and not tried[-1].missed:
+            break
         margin = _margin(problem, tried[-1], probability)
         tried.append(best(margin))
         if tried[-1] is tried[-2]:
@@ -159,6 +163,8 @@ def treat(
     while met and first.pieces.any() and len(found) < number and len(excluded) < 4 * number:
         excluded.append(latest.pieces > 0)
         latest = best(margin, excluded)
+        if latest.missed:  # what few paths let pass
+            latest = best(_margin(problem, latest, probability), excluded)
         if latest.missed or any(np.array_equal(latest.pieces > 0, e) for e in excluded):
             break
         if any(_in_common(problem, latest.pieces, one.pieces) > _SAME_SHARE for one in found):
@@ -218,7 +224,8 @@ class _Outcome(NamedTuple):
     """What an arrangement does, evaluated once for search, verdict and display."""
 
     pieces: FloatArray  # (n_candidates,), how many of each hang
-    numbers: FloatArray  # (n_rows,), the likeliest prediction
+    searched: FloatArray  # (n_rows,), the likeliest numbers, by few paths
+    numbers: FloatArray  # (n_rows,), as they are predicted
     cost: float
     means: _Means
     rows: FloatArray  # (n_draws, n_rows)
@@ -227,16 +234,25 @@ class _Outcome(NamedTuple):
 
 
 def _outcome(
-    problem: Problem, pieces: FloatArray, numbers: FloatArray, probability: float
+    problem: Problem, pieces: FloatArray, searched: FloatArray, probability: float
 ) -> _Outcome:
     """Return what an arrangement does, with draws and odds of every row."""
     means, drawn = _means_and_draws(
         problem.room, treated(problem, pieces), treated_draws(problem, pieces)
     )
-    rows = rows_of(problem, drawn)
+    rows, numbers = rows_of(problem, drawn), _numbers_of(problem, means)
     odds = _odds(problem, means, numbers, rows)
     missed = _missed(problem, numbers, odds.mean(axis=0), probability)
-    return _Outcome(pieces, numbers, float(problem.cost @ pieces), means, rows, odds, missed)
+    cost = float(problem.cost @ pieces)
+    return _Outcome(pieces, searched, numbers, cost, means, rows, odds, missed)
+
+
+def _numbers_of(problem: Problem, means: _Means, kind: str = "predicted") -> FloatArray:
+    """Return what a table of means has of every row: what is predicted, or another number of it."""
+    table = named_values(*means)
+    own = [getattr(table[problem.targets[t].parameter], kind) for t in problem.target]
+    each = zip(problem.weights, own, strict=True)
+    return np.array([np.sum(np.where(w > 0.0, w * x, 0.0)) for w, x in each])
 
 
 def _of_targets(problem: Problem, odds: FloatArray) -> tuple[FloatArray, float]:
@@ -267,13 +283,9 @@ def _means_and_draws(
         drawn = in_rows(drawn_s)
         return (values, None), np.concatenate([drawn, np.full_like(drawn[:, :1], np.nan)], axis=1)
     after = numbers_at(room, absorption, draws)
-    means = predicted_means(room.scene, [after, room.before], (), room.expected)
-    drawn = np.asarray(np.ma.masked_invalid([n.draws for n in after]).mean(axis=0).filled(np.nan))
-    index = np.full((len(drawn), 1, 1), np.nan)
-    if means[1] is not None:
-        index = np.mean([n.sti.draws for n in after if n.sti is not None], axis=0)
-    index = np.broadcast_to(index, (len(drawn), 1, drawn.shape[2]))
-    return means, np.concatenate([drawn, index], axis=1)
+    states = [after, room.before]
+    means, sti, drawn = predicted_means(room.scene, states, room.observed, room.expected)
+    return (means, sti), drawn
 
 
 def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray:
@@ -281,12 +293,7 @@ def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray
 
     Of logarithms of decay times, as their intervals are widened: a time is never 0.
     """
-    table = named_values(*means)
-    own = [
-        np.broadcast_to(table[problem.targets[t].parameter].sd_rest, problem.weights.shape[1])
-        for t in problem.target
-    ]
-    found = (problem.weights * np.nan_to_num(own)).sum(axis=1)
+    found = _numbers_of(problem, means, "sd_rest")
     share = np.divide(found, numbers, out=np.zeros_like(found), where=numbers > 0.0)
     found = np.where(problem.is_time, np.sqrt(np.log1p(share**2)), found)
     return np.asarray(np.maximum(found, 1e-9))
@@ -295,8 +302,8 @@ def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray
 def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
     """Return by how much each row must keep its limits to meet them with some probability.
 
-    The quantile of what may be measured, beside the likeliest number: draws are not symmetric
-    about it.
+    The quantile of what may be measured, beside the number of the search: draws are not symmetric
+    about it. At a probability of one half the number that is predicted.
     """
     rows = one.rows
     steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
@@ -304,7 +311,8 @@ def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
     wide = _in_logs(problem, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
     ends = np.where(problem.is_time, np.exp(ends), ends)
-    below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
+    ends = ends if probability > 0.5 else np.stack((one.numbers, one.numbers))
+    below, above = np.nan_to_num((one.searched - ends[0], ends[1] - one.searched))
     below = np.where(np.isfinite(problem.low), below, -np.inf)
     above = np.where(np.isfinite(problem.high), above, -np.inf)
     # what the search lets pass is made up for
@@ -317,8 +325,11 @@ def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrange
     hung = []
     for c in np.flatnonzero(pieces):
         m, area = problem.surface[c], float(pieces[c] * problem.piece_m2[c])
-        name = problem.products[problem.product[c]].name
-        hung.append(Hung(materials[m], name, area, area / float(problem.areas_m2[m])))
+        p, share = problem.products[problem.product[c]], area / float(problem.areas_m2[m])
+        own = Change(materials[m], "value", tuple(p.absorption), tuple(p.sd), share=share)
+        if p.entry:
+            own = Change(materials[m], "catalogue", entry=p.entry, share=share)
+        hung.append(Hung(materials[m], p.name, area, share, change_text(own)))
     return Arrangement(
         tuple(hung),
         one.cost,

@@ -200,19 +200,19 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product
     hint = "keep what is known best, and leave the others out"
     what, known_by = "a product has not one absorption", ("absorption", "catalogue", "material")
     the_one(table, known_by, what, "", hint)
-    material = ""
+    # a name stands for the room's own material first, as in a change
+    entry = table.material or (table.catalogue if table.catalogue not in known.materials else "")
     if table.catalogue is not None:
         mean, sd = catalogue_prior(table.catalogue, bands)
     elif table.material is not None:
-        material = table.material
         what = "a product is of a material that the room does not have"
-        check_known(what, material, known.materials)
-        mean = known.absorption[known.materials.index(material)]
+        check_known(what, table.material, known.materials)
+        mean = known.absorption[known.materials.index(table.material)]
         sd = np.zeros(len(bands))
     else:
         mean = _in_bands(cast("float | list[float] | Spectrum", table.absorption), bands)
         sd = np.where((mean > 0.0) & (mean < 1.0), 0.05 if table.sd is None else table.sd, 0.0)
-    return Product(name, mean, sd, table.cost_per_m2, table.piece_m2, table.depth_m, material)
+    return Product(name, mean, sd, table.cost_per_m2, table.piece_m2, table.depth_m, entry or "")
 
 
 def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> FloatArray:

@@ -61,7 +61,8 @@ def _target_content(target: Target) -> dict[str, Any]:
 def _arrangement_content(a: Arrangement) -> dict[str, Any]:
     return {
         "hung": [
-            {"surface": h.surface, "product": h.product, "area_m2": h.area_m2} for h in a.hung
+            {"surface": h.surface, "product": h.product, "area_m2": h.area_m2, "set": h.change}
+            for h in a.hung
         ],
         "cost": a.cost,
         "probability": a.probability,

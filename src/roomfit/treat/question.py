@@ -12,7 +12,7 @@ from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.materials.priors import logit_normal
+from roomfit.predict.changes import product_draws
 from roomfit.predict.diffuse import NAME, PreparedField
 from roomfit.predict.predict import ChangingRoom
 from roomfit.room.scene import Scene, material_areas_m2, pair_states
@@ -52,7 +52,9 @@ class Product:
     cost_per_m2: float = 1.0
     piece_m2: float = 1.0
     depth_m: float = 0.0
-    material: str = ""  # of the room, whose absorption it is with all that is known of it
+    # a material of the room, whose absorption it is with all that is known of it, or its entry of
+    # the catalogue; "": neither
+    entry: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,13 +263,10 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
 
 def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArray:
     """Return draws of what products absorb, (n_draws, n_products, n_bands): equal in every call."""
-    rng, drawn = np.random.default_rng(room.seed + 1), []
+    drawn, materials = [], room.absorption.materials
     for p in products:
-        z = rng.standard_normal(len(room.draws))
-        if p.material:
-            drawn.append(room.draws[:, room.absorption.materials.index(p.material)])
-        else:
-            drawn.append(logit_normal(p.absorption, p.sd, z))
+        own = product_draws(p.absorption, p.sd, len(room.draws), room.seed)
+        drawn.append(room.draws[:, materials.index(p.entry)] if p.entry in materials else own)
     return np.stack(drawn, axis=1)
 
 
