@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -246,12 +247,16 @@ def trace_room(
 ) -> TracedRoom:
     """Trace until every band of every pair has fallen by 36 dB, or for 30 s.
 
+    With the absorption that is known, or with each of several, (..., n_materials, n_bands): of two
+    walls the one that absorbs less may bend a decay less, which then is followed sooner.
+
     How long is estimated from Eyring's formula and the measured decay; where walls differ much,
     sound between the hard ones lasts longer still, which few rays find out before.
     """
     settings = Settings() if settings is None else settings
     bands, directivities = known.bands, known.directivities or {}
     absorption = known.absorption if absorption is None else absorption
+    each = absorption.reshape(-1, *known.absorption.shape)
     rows = np.full((len(known.materials), len(bands)), np.nan)
     rows = rows if known.scattering is None else known.scattering
     priors = tuple(  # nothing but the scattering, which the plan of a trace reads
@@ -260,7 +265,7 @@ def trace_room(
     )
     added = known.by_pressures
     added = np.zeros(len(bands), dtype=np.bool_) if added is None else added
-    longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
+    longest_s = max(measured_decay_s, *(float(scene_decay_s(scene, bands, a).max()) for a in each))
 
     beside_images = settings
     if settings.n_rays_beside_images is None:
@@ -287,12 +292,12 @@ def trace_room(
 
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
-        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None), absorption):
+        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None), each):
             break
         longest_s *= _LONGER
     for _ in range(2 if n_pilots else _ATTEMPTS):
         room = traced(sys.maxsize, progress)
-        short = _short_bands(room, absorption)
+        short = _short_bands(room, each)
         if not short or longest_s >= _LONGEST_S:
             break
         longest_s *= _LONGER
@@ -319,9 +324,11 @@ def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatAr
     return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
 
 
-def _short_bands(room: TracedRoom, absorption: FloatArray) -> list[int]:
-    """Return the bands in which the decay of some pair is not followed far enough."""
+def _short_bands(room: TracedRoom, absorptions: FloatArray) -> list[int]:
+    """Return the bands in which the decay of some pair is not followed far enough with some."""
     known = room.scene, room.bands, room.binned
-    pairs = range(len(room.scene.pairs))
-    usable_db = np.array([predicted_curve(*known, i, absorption).usable_db for i in pairs])
+    each = product(range(len(room.scene.pairs)), absorptions)
+    usable_db = np.array(
+        [predicted_curve(*known, i, absorption).usable_db for i, absorption in each]
+    )
     return np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB).tolist()

@@ -86,10 +86,10 @@ def prepare_paths(
     areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
     shares = absorption, draws, absorption.materials, areas_m2
     dominated = prior_dominated(*shares, np.random.default_rng(settings.seed))
-    least, is_known = _least_absorption(absorption, alternatives)
+    followed, is_known = _followed_absorptions(absorption, alternatives)
     observed, measured_findings = observed_pairs(scene, question.measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
-    traced = trace_room(scene, absorption, least, longest_s, settings, done)
+    traced = trace_room(scene, absorption, followed, longest_s, settings, done)
     bands, found = absorption.bands, absorption.absorption
     few = tuple(in_forks(partial(traced.reduced, absorption=found), range(len(scene.pairs))))
     energies = [f.energies(found[None]) for f in few]
@@ -158,17 +158,17 @@ def _in_fitted_states(room: PreparedRoom) -> tuple[FloatArray, ...]:
     return tuple(in_forks(of_pair, range(len(room.few)))) if swaps else ()
 
 
-def _least_absorption(
+def _followed_absorptions(
     absorption: AbsorptionPosterior, alternatives: Sequence[Sequence[Change]]
 ) -> tuple[FloatArray, bool]:
-    """Return the least absorption of all alternatives, and whether that before them is known."""
+    """Return the absorption of all alternatives, and whether that before them is known."""
     names = absorption.materials
     changed = [names.index(c.material) for one in alternatives for c in one if c.material in names]
     is_known = not absorption.is_unknown[changed].any()
     found = absorption.absorption
     followed = [changed_draws(absorption, found[None], c, 0)[0] for c in alternatives]
     followed += [found] if is_known or not followed else []
-    return np.asarray(np.min(followed, axis=0)), is_known
+    return np.array(followed), is_known
 
 
 def _numbers(
