@@ -328,7 +328,5 @@ def _short_bands(room: TracedRoom, absorptions: FloatArray) -> list[int]:
     """Return the bands in which the decay of some pair is not followed far enough with some."""
     known = room.scene, room.bands, room.binned
     each = product(range(len(room.scene.pairs)), absorptions)
-    usable_db = np.array(
-        [predicted_curve(*known, i, absorption).usable_db for i, absorption in each]
-    )
+    usable_db = np.array([predicted_curve(*known, *case).usable_db for case in each])
     return np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB).tolist()

@@ -110,7 +110,7 @@ def listen(
     observed, doubts = observe(scene, measurements, absorption.bands)
     times = [m.parameters.of("T30_s") for m in observed]
     longest_s = max((float(np.nanmax(row)) for row in times if np.isfinite(row).any()), default=0.0)
-    room = trace_room(scene, absorption, np.minimum(old, new), longest_s, settings, progress)
+    room = trace_room(scene, absorption, np.stack((old, new)), longest_s, settings, progress)
     found = tuple(_changed_response(room, m, old, new) for m in observed)
     rests_on = result_doubts(absorption)
     return found, (*rests_on, *absorption.findings, *findings, *doubts, *room.findings)

@@ -267,7 +267,7 @@ def _interval(
         wide = draws[:, None, :] + steps * rest_sd
     low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
     # of several answers that explain the data alike the likeliest may lie aside of most
-    low, high = np.fmin(low, likeliest), np.fmax(high, likeliest)
+    low, high = np.minimum(low, likeliest), np.maximum(high, likeliest)
     return np.clip(low, *_range(name)), np.clip(high, *_range(name))
 
 
