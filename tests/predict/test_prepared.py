@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roomfit.base.air import attenuation_per_m
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.files.campaign import read_campaign
@@ -16,6 +17,8 @@ from roomfit.predict.changes import read_change
 from roomfit.predict.decay import RELATIVE
 from roomfit.predict.other_walls import numbers_at
 from roomfit.predict.predict import predict, predict_change, prepare
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import material_areas_m2
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -67,6 +70,25 @@ def test_a_prepared_room_predicts_a_change_as_predict_does(given, room, text):
         for name, one in theirs.parameters.items():
             unit = jnd_of(name, one.predicted)
             assert np.all(np.abs(own.parameters[name].predicted - one.predicted) < 0.1 * unit)
+
+
+def test_sabines_formula_stands_beside_a_change_of_decay_times(given, room):
+    """``T = k V / (S a + 4 m V)``: the walls of the campaign's box are counted by hand here."""
+    found = predict_change(room, [read_change("carpet=50% 0.8")])
+    before, air_per_m = (
+        given.known.absorption,
+        attenuation_per_m(given.scene.air, given.known.bands),
+    )
+    names, areas_m2 = given.known.materials, material_areas_m2(given.scene.room)
+    after = before.copy()
+    after[names.index("carpet")] = 0.5 * (before[names.index("carpet")] + 0.8)
+    air_m2 = 4.0 * volume_m3(given.scene.room.mesh) * air_per_m
+    ratio = (areas_m2 @ before + air_m2) / (areas_m2 @ after + air_m2)
+    for name in ("T30_s", "T20_s", "EDT_s"):
+        change = found.mean[name].change
+        np.testing.assert_allclose(change.sabine, change.before * ratio, rtol=1e-12)
+        assert np.all(np.abs(np.log(change.sabine / found.mean[name].predicted)) < 0.5)
+    assert np.isnan(found.mean["C80_dB"].change.sabine).all()
 
 
 def test_few_rows_bring_the_energies_of_all_of_them(room):

@@ -79,12 +79,6 @@ def _picture_times_s(room: TracedRoom) -> FloatArray:
     return np.linspace(0.0, float(room.edges_s[-1]), _PICTURE_POINTS)
 
 
-def extrapolated_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the index before, carried over by the difference, (n,); NaN where it has none."""
-    index = np.nan if before.sti is None else before.sti.values[0, 0]
-    return np.asarray(np.clip(index + there - base, 0.0, 1.0))
-
-
 def moved(values: FloatArray, there: FloatArray, base: FloatArray) -> FloatArray:
     """Extrapolate values to other absorptions by differences computed from the reduced rows.
 

@@ -224,6 +224,7 @@ def field_values(
     change = ValueChange(
         before_s, first, last, after_s / before_s,
         np.minimum(ratio[0], after_s / before_s), np.maximum(ratio[1], after_s / before_s),
+        before_s * _sabine_m2(room, room.absorption.absorption) / _sabine_m2(room, absorption),
     )  # fmt: skip
     if not is_changed:
         low, high = first, last
@@ -233,6 +234,12 @@ def field_values(
         change if is_changed else None,
     )  # fmt: skip
     return {NAME: value}, drawn
+
+
+def _sabine_m2(room: PreparedField, absorption: FloatArray) -> FloatArray:
+    field = room.field
+    walls_m2 = field.areas_m2.sum(axis=0) @ absorption
+    return np.asarray(walls_m2 + 4.0 * field.volume_m3 * field.attenuation_per_m)
 
 
 def _bounds(drawn: FloatArray, relative_sd: FloatArray) -> tuple[FloatArray, FloatArray]:

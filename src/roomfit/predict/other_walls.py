@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from roomfit.base.air import attenuation_per_m
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.forks import in_forks, in_this_process
@@ -38,7 +39,7 @@ from roomfit.predict.tables import (
     without_jnd,
 )
 from roomfit.result import result_doubts
-from roomfit.room.mesh import triangle_areas_m2
+from roomfit.room.mesh import triangle_areas_m2, volume_m3
 from roomfit.room.scene import Scene, material_areas_m2, materials_of_surfaces, pair_states
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
@@ -61,8 +62,6 @@ class PreparedRoom:
     before: tuple[PairNumbers, ...]  # as it was measured, or is expected by other pairs
     expected: tuple[PairNumbers, ...]  # by other pairs, whether it was measured or not
     few: tuple[ReducedRows, ...]  # of every pair
-    base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
-    base_sti: FloatArray  # (n_pairs,), likewise
     findings: tuple[Finding, ...]
     dominated: tuple[Finding, ...]  # by material, that the prior decides its share
     seed: int
@@ -73,6 +72,17 @@ class PreparedRoom:
     def scene(self) -> Scene:
         """Room, sources, receivers and pairs."""
         return self.traced.scene
+
+    def sabine_ratio(self, absorption: FloatArray) -> FloatArray:
+        """Return what Sabine's formula says another absorption does to decay times, (n_bands,)."""
+        air_per_m = attenuation_per_m(self.scene.air, self.traced.bands)
+        air_m2 = 4.0 * volume_m3(self.scene.room.mesh) * air_per_m
+
+        def area_m2(a: FloatArray) -> FloatArray:
+            objects_m2 = _object_areas(self.absorption, a[len(a) - len(self.absorption.objects) :])
+            return np.asarray(air_m2 + self.traced.areas_m2 @ a + sum(objects_m2.values()))
+
+        return area_m2(self.absorption.absorption) / area_m2(absorption)
 
 
 def prepare_paths(
@@ -92,13 +102,10 @@ def prepare_paths(
     traced = trace_room(scene, absorption, followed, longest_s, settings, done)
     bands, found = absorption.bands, absorption.absorption
     few = tuple(in_forks(partial(traced.reduced, absorption=found), range(len(scene.pairs))))
-    energies = [f.energies(found[None]) for f in few]
-    base = [f.values(e) for f, e in zip(few, energies, strict=True)]
-    base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
     room = PreparedRoom(
         traced, absorption, draws, observed, (), (), (), (), (), few,
-        np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
-        dominated, settings.seed, speech_db, tuple({} for _ in few),
+        (*measured_findings, *traced.findings), dominated, settings.seed, speech_db,
+        tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
         return room
@@ -241,7 +248,8 @@ def predict_paths(room: PreparedRoom, changes: Sequence[Change]) -> Predicted:
         numbers = [tuple(anchored(n, n, a) for n, a in zip(after, moves, strict=True))]
     named = {c.material for c in changes}
     doubts += tuple(f for f in room.dominated if named & set(f.about.materials))
-    pairs, means, sti = _tables(room, numbers)
+    sabine = room.sabine_ratio(expected)
+    pairs, means, sti = _tables(room, numbers, sabine)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     stated = change_findings(changes, bool(room.before and room.observed), bands, means)
@@ -279,16 +287,16 @@ def _object_areas(known: AbsorptionPosterior, values: FloatArray) -> dict[str, F
 
 
 def _tables(
-    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]]
+    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]], sabine: FloatArray
 ) -> tuple[tuple[PredictedPair, ...], dict[ValueName, PredictedValue], PredictedValue | None]:
     """Return what is predicted of every pair, and the means over them."""
     scene, bands, observed = room.scene, room.absorption.bands, room.observed
     if not room.before:
         observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
     expected = room.expected or numbers[0]
-    means, sti, _ = predicted_means(scene, numbers, observed, expected)
+    means, sti, _ = predicted_means(scene, numbers, observed, expected, sabine)
     of_pairs = [expected] if len(numbers) == 1 else numbers
-    pairs = predicted_pairs(scene, bands, of_pairs, observed, expected)
+    pairs = predicted_pairs(scene, bands, of_pairs, observed, expected, sabine)
     if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement
         pairs = tuple(

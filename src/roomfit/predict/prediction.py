@@ -41,6 +41,7 @@ class ValueChange:
     change: FloatArray
     change_lower95: FloatArray
     change_upper95: FloatArray
+    sabine: FloatArray  # a baseline: a decay time after it by Sabine's formula, NaN of all else
 
 
 # Of an energy: what is known of a level no better than by a factor of 2.

@@ -88,10 +88,12 @@ def predicted_pairs(
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[ObservedPair],
     expected: Sequence[PairNumbers],
+    sabine: FloatArray,
 ) -> tuple[PredictedPair, ...]:
     """Return every pair of the scene, once for each of its measurements, or once without.
 
-    `expected`: before a change, by other pairs; a measurement stands beside it.
+    `expected`: before a change, by other pairs; a measurement stands beside it. `sabine`,
+    (n_bands,): `sabine_ratio`.
     """
     found = []
     nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
@@ -111,11 +113,12 @@ def predicted_pairs(
             decay = _decay(states[0], m)
             if len(states) > 1:
                 decay = replace(decay, before_db=states[1].decay.predicted_db)
-            table = _table(VALUE_NAMES, states, values, mean, expected[i].values)
+            table = _table(VALUE_NAMES, states, values, mean, expected[i].values, sabine)
             of_speech = [n.sti for n in states if n.sti is not None]
             sti = None
             if of_speech:
-                sti = _table(("STI",), of_speech, index, mean_index, of_speech[-1].values)["STI"]
+                own = index, mean_index, of_speech[-1].values, sabine
+                sti = _table(("STI",), of_speech, *own)["STI"]
             found.append(PredictedPair(source, receiver, use, table, decay, sti))
     return tuple(found)
 
@@ -125,6 +128,7 @@ def predicted_means(
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[ObservedPair],
     expected: Sequence[PairNumbers],
+    sabine: FloatArray,
 ) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None, FloatArray]:
     """Return means over the measured pairs of each band, over all where none was measured.
 
@@ -136,19 +140,22 @@ def predicted_means(
     ]
     shape = numbers[0][0].values.shape
     measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
-    means, drawn = _mean_table(VALUE_NAMES, (*numbers, expected), measured)
+    means, drawn = _mean_table(VALUE_NAMES, (*numbers, expected), measured, sabine)
     of_speech = [[n.sti for n in own if n.sti is not None] for own in (*numbers, expected)]
     sti, index_drawn = None, np.full((len(drawn), 1, 1), np.nan)
     if of_speech[0]:
         index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
-        table, index_drawn = _mean_table(("STI",), of_speech, index)
+        table, index_drawn = _mean_table(("STI",), of_speech, index, sabine)
         sti = table["STI"]
     index_drawn = np.broadcast_to(index_drawn, (len(drawn), 1, shape[1]))
     return means, sti, np.concatenate((drawn, index_drawn), axis=1)
 
 
 def _mean_table(
-    names: Sequence[N], numbers: Sequence[Sequence[PairNumbers]], measured: FloatArray
+    names: Sequence[N],
+    numbers: Sequence[Sequence[PairNumbers]],
+    measured: FloatArray,
+    sabine: FloatArray,
 ) -> tuple[dict[N, PredictedValue], FloatArray]:
     """Return the means of some parameters, and draws; the last numbers are those expected before.
 
@@ -162,7 +169,7 @@ def _mean_table(
     observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
     *states, expected = [_mean_numbers(of_state, weights) for of_state in numbers]
     nothing = np.full_like(observed, np.nan)
-    return _table(names, states, observed, nothing, expected.values), states[0].draws
+    return _table(names, states, observed, nothing, expected.values, sabine), states[0].draws
 
 
 def _mean_numbers(numbers: Sequence[PairNumbers], weights: FloatArray) -> PairNumbers:
@@ -195,6 +202,7 @@ def _table(
     measured: FloatArray,
     mean_of_others: FloatArray,
     expected: FloatArray,
+    sabine: FloatArray,
 ) -> dict[N, PredictedValue]:
     """Return predictions with their intervals, and what a change does where there are two states.
 
@@ -211,7 +219,7 @@ def _table(
             measured[row],
             in_jnd(name, measured[row], expected[row]),
             mean_of_others[row],
-            _change(name, row, states) if len(states) > 1 else None,
+            _change(name, row, states, sabine) if len(states) > 1 else None,
         )
     return table
 
@@ -223,7 +231,7 @@ def without_jnd(table: Mapping[K, V]) -> dict[K, V]:
     }
 
 
-def _change(name: str, row: int, states: Sequence[PairNumbers]) -> ValueChange:
+def _change(name: str, row: int, states: Sequence[PairNumbers], sabine: FloatArray) -> ValueChange:
     """Return what a change does, draw by draw: what both states have in common is not in it.
 
     The change is that of a measured value: what interference of both states does not share,
@@ -247,6 +255,7 @@ def _change(name: str, row: int, states: Sequence[PairNumbers]) -> ValueChange:
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
         *_interval(kind, change, drawn, apart_sd),
+        old * sabine if name in FIT_RANGES_DB else np.full_like(old, np.nan),
     )
 
 

@@ -287,6 +287,8 @@ def parameter_rows(
                 lines["expected before"] = _with_bounds(decimals, *before)
             lines["expected after"] = predicted
             lines |= dict([_change_cells(name, c, decimals, open_for)])
+            if name == "T30_s" and np.isfinite(c.sabine).any():
+                lines["after, by Sabine"] = [Cell(number(s, decimals)) for s in c.sabine]
         if not has_measured:
             of_measured = ("measured", "measured before")
             lines = {what: cells for what, cells in lines.items() if what not in of_measured}

@@ -284,7 +284,8 @@ def _means_and_draws(
         return (values, None), np.concatenate([drawn, np.full_like(drawn[:, :1], np.nan)], axis=1)
     after = numbers_at(room, absorption, draws)
     states = [after, room.before]
-    means, sti, drawn = predicted_means(room.scene, states, room.observed, room.expected)
+    own = room.observed, room.expected, room.sabine_ratio(absorption)
+    means, sti, drawn = predicted_means(room.scene, states, *own)
     return (means, sti), drawn
 
 

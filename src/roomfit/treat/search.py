@@ -9,7 +9,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.predict.decay import extrapolated_sti, moved
+from roomfit.predict.decay import moved
 from roomfit.predict.diffuse import PreparedField, field_times_s, in_rows
 from roomfit.predict.predict import ChangingRoom
 from roomfit.treat.question import Problem, rows_of, treated
@@ -36,15 +36,17 @@ def mean_values(
 
     def own(i: int) -> FloatArray:
         few = room.few[i].in_bands(at)
-        n_names, n_bands = room.base.shape[1:]
-        values = np.full((len(absorptions), n_names + 1, n_bands), np.nan)
+        before, first = room.before[i], room.absorption.absorption[None]
+        values = np.full((len(absorptions), len(before.values) + 1, absorptions.shape[2]), np.nan)
+        index = np.nan if before.sti is None else before.sti.values[0, 0]
         for a in range(0, len(absorptions), _POINTS):
             part = values[a : a + _POINTS]
-            energies = few.energies(absorptions[a : a + _POINTS, :, at])
+            points = np.concatenate((first, absorptions[a : a + _POINTS]))
+            energies = few.energies(points[:, :, at])
             there = few.values(energies)
             sti = few.sti(energies, there, room.speech_db)
-            part[:, :-1, at] = moved(room.before[i].values[:, at], there, room.base[i][:, at])
-            part[:, -1] = extrapolated_sti(room.before[i], sti, room.base_sti[i])[:, None]
+            part[:, :-1, at] = moved(before.values[:, at], there[1:], there[0])
+            part[:, -1] = np.clip(index + sti[1:] - sti[0], 0.0, 1.0)[:, None]
         return values
 
     found = np.ma.masked_invalid(each_in_threads(own, len(room.few)))
