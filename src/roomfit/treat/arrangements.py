@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -140,20 +140,50 @@ def treat(
     problem = problem_of(room, surfaces, products, targets)
     known: dict[tuple[float, ...], _Outcome] = {}
 
-    def best(margin: FloatArray, excluded: Sequence[BoolArray] = ()) -> _Outcome:
+    def best(margin: FloatArray, excluded: Sequence[BoolArray]) -> _Outcome:
         # margins go to and fro between two arrangements, and an alternative may be one of them
         found = best_arrangement(problem, margin, excluded, most_cost)
         key = tuple(found[0].tolist())
         known[key] = known.get(key) or _outcome(problem, *found, probability)
         return known[key]
 
+    found, is_met = _cheapest(problem, best, number, probability, progress)
+    first = found[0]
+    found.sort(key=lambda one: one.cost)
+    bare = 0.0 * problem.cost
+    unlimited = np.zeros(len(problem.target))
+    nothing = known.get(tuple(bare.tolist())) or _outcome(problem, bare, unlimited, probability)
+    before, _ = _of_targets(problem, nothing.odds)
+    arrangements = tuple(_arrangement(problem, one, before) for one in found)
+    doubts = (
+        *result_doubts(room.absorption, room.scene.room.findings),
+        *_of_the_room(room, arrangements),
+        *_findings(problem, arrangements, first, probability),
+    )
+    return Treatment(
+        room.absorption.bands, problem.targets, arrangements, is_met, room, doubts,
+        before=in_words, asked=probability,
+    )  # fmt: skip
+
+
+def _cheapest(
+    problem: Problem,
+    best: Callable[[FloatArray, Sequence[BoolArray]], _Outcome],
+    number: int,
+    probability: float,
+    progress: Progress | None,
+) -> tuple[list[_Outcome], bool]:
+    """Return the best arrangements, first the best of all, and whether they meet the targets.
+
+    `best` searches under margins, without some sets of products and surfaces.
+    """
     margin = np.zeros(len(problem.target))
-    tried = [best(margin)]
+    tried = [best(margin, ())]
     for _ in range(_MARGIN_ROUNDS):
         if probability <= 0.5 and not tried[-1].missed:
             break
         margin = _margin(problem, tried[-1], probability)
-        tried.append(best(margin))
+        tried.append(best(margin, ()))
         if tried[-1] is tried[-2]:
             break
     met = [one for one in tried if not one.missed]
@@ -172,20 +202,7 @@ def treat(
         found.append(latest)
         if progress is not None:
             progress(len(found) / number)
-    found.sort(key=lambda one: one.cost)
-    bare = 0.0 * problem.cost
-    nothing = known.get(tuple(bare.tolist())) or _outcome(problem, bare, 0.0 * margin, probability)
-    before, _ = _of_targets(problem, nothing.odds)
-    arrangements = tuple(_arrangement(problem, one, before) for one in found)
-    doubts = (
-        *result_doubts(room.absorption, room.scene.room.findings),
-        *_of_the_room(room, arrangements),
-        *_findings(problem, arrangements, first, probability),
-    )
-    return Treatment(
-        room.absorption.bands, problem.targets, arrangements, bool(met), room, doubts,
-        before=in_words, asked=probability,
-    )  # fmt: skip
+    return found, bool(met)
 
 
 def _in_common(problem: Problem, one: FloatArray, other: FloatArray) -> float:
