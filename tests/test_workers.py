@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from cluster_tasks import die, number_into
+from cluster_tasks import die, die_once, number_into
 from roomfit.base.errors import InsufficientDataError
-from roomfit.batch.cluster import cluster_client, completed, result_of
+from roomfit.batch.cluster import in_processes
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -23,49 +23,34 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_an_own_cluster_listens_on_the_loopback_alone_and_ends_with_its_block(
-    tmp_path: Path,
-) -> None:
+def test_processes_of_a_batch_have_no_door_for_other_users_and_end_with_it(tmp_path: Path) -> None:
+    """Another user of the machine finds no port and no socket of any of them, while they work."""
     psutil = pytest.importorskip("psutil")
     this = psutil.Process()
     before = {p.pid for p in this.children(recursive=True)}
-    trimming = os.getenv("MALLOC_TRIM_THRESHOLD_")
-    with cluster_client(n_workers=2) as executor:
-        family = [this, *(p for p in this.children(recursive=True) if p.pid not in before)]
-        listening = [c for p in family for c in p.net_connections("inet") if c.status == "LISTEN"]
-        assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
-        tasks = [partial(number_into, tmp_path, n, 0.2) for n in range(10)]
-        pids = [result_of(future) for _, future in completed(executor, tasks)]
-        # dask's own value has every array given back to the system
-        assert executor.submit(os.getenv, "MALLOC_TRIM_THRESHOLD_").result() == trimming
-    assert len(set(pids)) == 2
-    assert os.getpid() not in pids
-    deadline = time.monotonic() + 60.0
-    while {p.pid for p in this.children(recursive=True)} - before - _trackers(this):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-
-
-def _trackers(process: object) -> set[int]:
-    """Return the helpers of multiprocessing, which stay as long as the process does."""
-    found = process.children(recursive=True)  # type: ignore[attr-defined]
-    return {
-        p.pid
-        for p in found
-        if any(w in " ".join(p.cmdline()) for w in ("resource_tracker", "forkserver"))
-    }
+    doors = set(this.net_connections("all"))
+    tasks = [partial(number_into, tmp_path, n, 0.5) for n in range(4)]
+    pids = set()
+    for _, pid in in_processes(tasks, 2):
+        family = [p for p in this.children(recursive=True) if p.pid not in before]
+        assert not [c for p in family for c in p.net_connections("all")]
+        assert set(this.net_connections("all")) == doors
+        pids.add(pid)
+    assert len(pids) == 4 and os.getpid() not in pids
+    working = [p for p in this.children(recursive=True) if p.pid not in before]
+    assert not [p for p in working if "resource_tracker" not in " ".join(p.cmdline())]
 
 
 @pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_reported_and_all_others_are_done(tmp_path: Path) -> None:
-    """Three workers die of it, and alone three more; none of the others is blamed."""
-    with cluster_client(n_workers=2) as client:
-        tasks = [die, *(partial(number_into, tmp_path, n, 0.2) for n in range(6))]
-        ends = dict(completed(client, tasks))
-        with pytest.raises(InsufficientDataError, match="every worker that had the task died"):
-            result_of(ends.pop(0))
-        assert all(isinstance(result_of(future), int) for future in ends.values())
+    """Three workers die of it; and one while it compiles, for which another begins again."""
+    tasks = [die, *(partial(number_into, tmp_path, n, 0.2) for n in range(6))]
+    ends = dict(in_processes(tasks, 2, warm=partial(die_once, tmp_path / "died")))
+    with pytest.raises(InsufficientDataError, match="every worker that had the task died"):
+        raise ends.pop(0)
+    assert all(isinstance(end, int) for end in ends.values())
     assert sorted(content(tmp_path)) == [f"{n}.txt" for n in range(6)]
+    assert (tmp_path / "died").read_text() == "once, and done"
 
 
 DASK_CLIENT = """
@@ -73,13 +58,12 @@ import sys, pathlib
 from functools import partial
 from cluster_tasks import number_into
 from roomfit.base.errors import RoomfitError
-from roomfit.batch.cluster import cluster_client, completed, result_of
+from roomfit.batch.cluster import on_cluster
 
 tasks = [partial(number_into, pathlib.Path(sys.argv[2]), n, 0.3) for n in range(100)]
 try:
-    with cluster_client(scheduler=sys.argv[1]) as pool:
-        for _, future in completed(pool, tasks):
-            result_of(future)
+    for _, end in on_cluster(tasks, sys.argv[1]):
+        pass
 except RoomfitError as error:
     print(error, file=sys.stderr)
 """

@@ -23,6 +23,7 @@ from roomfit.checks.examine import (
     eyring_start,
     fitted_evidence,
     recorded,
+    with_causes,
 )
 from roomfit.checks.verdict import judge
 from roomfit.fit.bands import estimate_energies
@@ -124,9 +125,12 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     with counted_evaluations() as made:
-        observed, traced, fits = _fitted_where_it_stands(
-            given, measurements, priors, settings, progress
-        )
+        try:
+            observed, traced, fits = _fitted_where_it_stands(
+                given, measurements, priors, settings, progress
+            )
+        except InsufficientDataError as error:
+            raise with_causes(error, (f for f in before if f.severity == "serious")) from error
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
     if all(answer.model == "prior" for answer in fits.answers):

@@ -10,7 +10,7 @@ import pytest
 
 import roomfit
 from roomfit.base.air import Air, speed_of_sound_m_s
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Code
 from roomfit.checks.arrivals import arrival_findings
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
@@ -128,11 +128,47 @@ def test_a_common_delay_is_one_sentence_with_the_key_to_set():
 
 
 def test_a_fit_that_refuses_a_file_names_the_cause_of_all():
-    """A decay that is cut short, or drowns, is what follows from half a second of silence."""
-    files = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x[: RATE_HZ // 4]))
+    """Half a second of silence before files that end in the decay, and before whole ones."""
+    files = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x[: RATE_HZ // 25]))
     with pytest.raises(InputError, match="the decay") as refused:
         measured_findings(files)
     assert refused.value.hint.startswith("All 12 files begin 0.50 s before the sound is emitted")
+    few = roomfit.Settings(n_rays=2000, quick=True)
+    whole = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x))
+    with pytest.raises(RoomfitError, match="one level") as refused:
+        roomfit.identify(SCENE, whole, bands=BANDS, settings=few)
+    assert refused.value.hint.startswith("All 12 files begin 0.50 s before the sound is emitted")
+
+
+@pytest.mark.parametrize("silence_s", [0.05, 0.2, 1.0, 4.0])
+@pytest.mark.parametrize("time_zero", ["emission", "unknown", "direct"])
+def test_silence_before_the_sound_leaves_the_decay_what_it_is(silence_s, time_zero):
+    """Of one file, whatever its clock; the latency that is named resolves it."""
+    (own,) = recordings()[:1]
+    plain = check_recordings(SCENE, [own], BANDS)
+    before = np.zeros(round(silence_s * RATE_HZ))
+    late = replace(own, samples=np.append(before, own.samples), time_zero=time_zero)
+    checked = check_recordings(SCENE, [late], BANDS)
+    np.testing.assert_allclose(checked.decay_s, plain.decay_s, rtol=2e-3)
+    np.testing.assert_allclose(checked.decay_range_db, plain.decay_range_db, atol=1.0)
+    edits = [e for f in checked.findings for r in f.remedies for e in r.edits]
+    if time_zero == "emission":
+        (latency_s,) = (e.value for e in edits if e.key == "latency_s")
+        assert check_recordings(SCENE, [replace(late, latency_s=latency_s)], BANDS).findings == ()
+    else:
+        assert checked.findings == ()
+
+
+def test_two_sounds_in_one_file_are_refused():
+    """A response repeated, also softly, and a click long before it; an echo is no second sound."""
+    (own,) = recordings()[:1]
+    x = np.asarray(own.samples)
+    click = np.append(np.max(x), np.zeros(RATE_HZ // 3))
+    for samples in (np.append(x, x), np.append(x, 0.1 * x), np.append(click, x)):
+        checked = check_recordings(SCENE, [replace(own, samples=samples)], BANDS)
+        assert "a second sound" in " ".join(f.sentence for f in checked.findings)
+    echo = x + np.append(np.zeros(RATE_HZ // 10), x)[: len(x)]
+    assert not check_recordings(SCENE, [replace(own, samples=echo)], BANDS).in_doubt
 
 
 def test_sources_with_delays_of_their_own_are_a_sentence_each():

@@ -11,6 +11,7 @@ import pytest
 import scipy.io
 import scipy.sparse
 import soundfile
+from scipy.signal import hilbert
 
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
@@ -32,6 +33,11 @@ def decay(n: int = 4000, seed: int = 1) -> np.ndarray:
 def write_wav(path: Path, samples: np.ndarray, subtype: str = "FLOAT") -> Path:
     soundfile.write(path, samples, RATE_HZ, subtype=subtype)
     return path
+
+
+def left(pressure: np.ndarray) -> np.ndarray:
+    """Schroeder's curve, 1 at its beginning."""
+    return np.cumsum(pressure[::-1] ** 2)[::-1] / np.sum(pressure**2)
 
 
 def codes(findings) -> list[str]:
@@ -146,12 +152,14 @@ def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_pa
     assert codes(findings) == [Code.WAV_LENGTH_UNKNOWN]
 
 
-def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path):
-    """RF64 keeps its lengths in a chunk of its own."""
+@pytest.mark.parametrize("name", [b"RF64", b"BW64"])
+def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path, name):
+    """RF64 keeps its lengths in a chunk of its own; BW64 of ITU-R BS.2088 is the same by name."""
     path = tmp_path / "a.wav"
     with soundfile.SoundFile(path, "w", RATE_HZ, 1, "PCM_24", format="RF64") as file:
         file.write(decay())
     assert path.read_bytes()[:4] == b"RF64"
+    path.write_bytes(name + path.read_bytes()[4:])
     response, findings = read_response(ResponseSpec(path))
     np.testing.assert_allclose(response.pressure, decay(), atol=2.0**-23)
     assert findings == ()
@@ -170,6 +178,11 @@ def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path):
         (lambda p: p * 1e30, "no pressure has"),
         (lambda p: p[:70], "too short"),
         (lambda p: p[:0], "too short|no samples|not a WAV"),
+        (lambda p: p**2, "does not swing"),
+        (lambda p: np.abs(hilbert(p)), "does not swing"),
+        (left, "does not swing"),
+        (lambda p: 10.0 * np.log10(left(p) + 1e-9), "does not swing"),
+        (lambda p: 60.0 + 20.0 * np.log10(np.abs(hilbert(p))), "does not swing"),
     ],
 )
 def test_a_file_that_holds_no_response_is_refused(tmp_path, spoil, words):
@@ -194,6 +207,9 @@ def test_a_constant_offset_is_reported_and_subtracted(tmp_path):
     np.testing.assert_allclose(response.pressure, 0.5 * decay(), atol=1e-4)
     assert codes(findings) == [Code.DC_OFFSET]
     assert findings[0].evidence["offset"] == pytest.approx(0.01, rel=1e-2)
+    # so large that no sample is negative, which energy has in common
+    whole = read_response(ResponseSpec(write_wav(tmp_path / "high.wav", 0.5 * decay() + 3.0)))[0]
+    np.testing.assert_allclose(whole.pressure, 0.5 * decay(), atol=1e-4)
 
 
 def test_an_encoding_that_loses_the_decay_is_refused(tmp_path):

@@ -263,19 +263,38 @@ def test_distortion_lands_before_time_zero_and_is_cut_away(tmp_path):
     assert ahead > 1e-4 * np.sum(circle[:6000] ** 2)
 
 
-def test_silence_around_the_sweep_and_a_late_start_change_nothing(tmp_path):
-    """Silence in front belongs to the excitation; a recording that began earlier needs latency."""
+@pytest.mark.parametrize(
+    ("begins", "ends"), [(0, 2 * RATE_HZ), (-900, 6500), (2300, 6500), (2380, 2 * RATE_HZ)]
+)
+def test_a_recording_that_has_the_sweep_and_its_decay_needs_no_silence(tmp_path, begins, ends):
+    """Whenever it began, before the playback or in the silence before the sweep, in samples.
+
+    And wherever it ended after the sweep. With latency and a clock of its own as at any time.
+    """
     played, true = sweep(), decay()
-    early = 500
     padded = np.concatenate([np.zeros(2400), played, np.zeros(2 * RATE_HZ)])
-    take = np.concatenate([np.zeros(early), recorded(padded, true)])[: len(padded) + early]
+    whole = np.concatenate([np.zeros(900), recorded(padded, true)])
+    take = whole[900 + begins : 900 + 2400 + len(played) + ends]
     spec = ResponseSpec(
         wav(tmp_path / "take.wav", take),
         excitation=wav(tmp_path / "sweep.wav", padded),
-        latency_s=early / RATE_HZ,
+        latency_s=-begins / RATE_HZ,
     )
     response, _ = read_response(spec)
     assert error_db(response, true) < -75
+
+
+@pytest.mark.parametrize(
+    ("begins", "ends", "words"),
+    [(3000, RATE_HZ, "began after the excitation"), (-9000, -3000, "ended before the excitation")],
+)
+def test_a_recording_without_all_of_the_sweep_is_refused(tmp_path, begins, ends, words):
+    played = sweep()
+    whole = np.concatenate([np.zeros(9000), recorded(played, decay()), np.zeros(RATE_HZ)])
+    take = wav(tmp_path / "take.wav", whole[9000 + begins : 9000 + len(played) + ends])
+    excitation = wav(tmp_path / "sweep.wav", played)
+    with pytest.raises(InputError, match=words):
+        read_response(ResponseSpec(take, excitation=excitation))
 
 
 def test_a_loopback_in_another_channel_takes_the_latency_out(tmp_path):

@@ -19,7 +19,7 @@ def hold(folder: Path, number: int) -> None:
 
 def main() -> None:
     """Have two workers hold, in a cluster; or start the page's worker."""
-    from roomfit.batch.cluster import cluster_client, completed
+    from roomfit.batch.cluster import in_processes
 
     kind, folder = sys.argv[1], Path(sys.argv[2])
     if kind == "page":
@@ -32,8 +32,7 @@ def main() -> None:
         found.stdout.readline()  # it is ready
         (folder / "0.pid").write_text(str(found.pid))
         time.sleep(600)
-    with cluster_client(n_workers=2) as pool:
-        list(completed(pool, [partial(hold, folder, n) for n in range(2)]))
+    list(in_processes([partial(hold, folder, n) for n in range(2)], 2))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,14 @@ def number_into(folder: Path, number: int, seconds: float = 0.0) -> int:
     return os.getpid()
 
 
+def die_once(file: Path) -> None:
+    """Kill the first process that calls it."""
+    if not file.exists():
+        file.write_text("once")
+        die()
+    file.write_text("once, and done")
+
+
 def die() -> None:
     """Kill the process at every call."""
     os.kill(os.getpid(), signal.SIGKILL)

@@ -13,11 +13,10 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 from urllib.parse import quote
 
 import numba
@@ -29,7 +28,7 @@ from roomfit.base.kernels import keep_one_blas_thread
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, written
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
-from roomfit.batch.cluster import cluster_client, completed, result_of
+from roomfit.batch.cluster import in_processes, on_cluster
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.encoding import input_digests, written_content
@@ -42,6 +41,8 @@ from roomfit.report.wording import in_file_name
 
 _LOG = logging.getLogger("roomfit")
 
+# Gives the number and the end of every task as it ends, errors too.
+Pool: TypeAlias = Callable[[Sequence[Callable[[], object]]], Iterator[tuple[int, Any]]]
 # "elsewhere": another run is at it, so that this one has left it
 Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
 ROOMS, FAILURES = "rooms", "failures"
@@ -137,7 +138,7 @@ def identify_rooms(
     campaigns: Sequence[Path],
     out: Path,
     *,
-    client: Any = None,
+    carry_out: Pool | None = None,
     shard: tuple[int, int] = (1, 1),
     quick: bool = False,
     progress: Progress | None = None,
@@ -149,7 +150,7 @@ def identify_rooms(
     left to it.
 
     `out`: A folder, made if needed; it may hold results of this and of other batches. With several
-    machines all of them must reach it, and the campaigns, by the same paths. `client`: see
+    machines all of them must reach it, and the campaigns, by the same paths. `carry_out`: of
     `roomfit.batch.cluster`; by default one room after the other in this process. `shard`: i and n:
     only every n-th room from the i-th is identified; the table shows all. `quick`: first answers,
     see `Settings.quick`; the next run without it gives the full ones.
@@ -168,7 +169,7 @@ def identify_rooms(
     ]
     elsewhere: set[str] = set()
     try:
-        for n_done, (number, (status, message)) in enumerate(_ends(jobs, client), start=1):
+        for n_done, (number, (status, message)) in enumerate(_ends(jobs, carry_out), start=1):
             _LOG.info("%s: %s", missing[number].name, status)
             address = missing[number].address
             record = out / FAILURES / f"{address}.json"
@@ -218,20 +219,19 @@ def identify_room(
 
 
 def _ends(
-    jobs: Sequence[Callable[..., tuple[Status, str]]], client: Any
+    jobs: Sequence[Callable[..., tuple[Status, str]]], carry_out: Pool | None
 ) -> Iterator[tuple[int, tuple[Status, str]]]:
-    """Do all jobs, here or by a cluster; yield the number and the end of each."""
-    if client is None:
+    """Do all jobs, here or in other processes; yield the number and the end of each."""
+    if carry_out is None:
         yield from ((number, job()) for number, job in enumerate(jobs))
         return
-    for number, future in completed(client, [partial(job, alone=False) for job in jobs]):
-        try:
-            yield number, result_of(future)
-        except StoreError:
-            raise
-        except Exception as error:  # noqa: BLE001 -- workers that died, or could not begin
-            own = isinstance(error, RoomfitError)
-            yield number, ("failed", str(error) if own else f"{type(error).__name__}: {error}")
+    for number, end in carry_out([partial(job, alone=False) for job in jobs]):
+        if isinstance(end, StoreError):
+            raise end
+        if isinstance(end, Exception):  # workers that died, or could not begin
+            own = isinstance(end, RoomfitError)
+            end = "failed", str(end) if own else f"{type(end).__name__}: {end}"
+        yield number, end
 
 
 def room_row(out: Path, task: RoomTask) -> RoomRow:
@@ -349,11 +349,12 @@ def batch_to_folder(
 ) -> tuple[str, int]:
     """Identify rooms, here or on a cluster; return the table, and 2 where one has no answer."""
     paths = campaign_paths(campaigns)
-    cluster: AbstractContextManager[Any] = nullcontext()
-    if workers is not None or scheduler is not None:
-        cluster = cluster_client(scheduler=scheduler, n_workers=workers or 1, warm=compile_kernels)
-    with cluster as client:
-        rows = identify_rooms(
-            paths, out, client=client, shard=shard, quick=quick, progress=progress
-        )
+    carry_out: Pool | None = None
+    if scheduler is not None:
+        carry_out = partial(on_cluster, scheduler=scheduler, warm=compile_kernels)
+    elif workers is not None:
+        carry_out = partial(in_processes, n_workers=workers, warm=compile_kernels)
+    rows = identify_rooms(
+        paths, out, carry_out=carry_out, shard=shard, quick=quick, progress=progress
+    )
     return text(described(rows)), 2 * any(row.status in ("refused", "failed") for row in rows)

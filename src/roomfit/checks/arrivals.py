@@ -248,7 +248,9 @@ def _late_by(found: _Arrivals, groups: BoolArray) -> _Explanation | None:
         late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
         middle_m = float(np.median(late_m))
         is_late = abs(middle_m) > float(tolerance_m.max())
-        if np.any(np.abs(late_m - middle_m) > tolerance_m) or (is_late and len(late_m) < 2):
+        # one alone may stand elsewhere, but not so far
+        alone = len(late_m) < 2 and abs(middle_m) < _LEAD_S * found.speed_m_s
+        if np.any(np.abs(late_m - middle_m) > tolerance_m) or (is_late and alone):
             return None
         if is_late:
             chosen = [found.measurements[i] for i in np.flatnonzero(group)]
@@ -273,9 +275,13 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
     if latency_s is not None:
         advice = f"set latency_s = {latency_s:.7g}"
     who = files_in_words(measurements, n_all)
-    how = f"are {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
-    if late_s > _LEAD_S:
-        how = f"begin {late_s:.2f} s before the sound is emitted"
+    one = len(measurements) == 1
+    how = (
+        f"{'is' if one else 'are'} {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
+    )
+    if abs(late_s) > _LEAD_S:
+        when = "before" if late_s > 0.0 else "after"
+        how = f"begin{'s' * one} {abs(late_s):.2f} s {when} the sound is emitted"
     text = (
         f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'

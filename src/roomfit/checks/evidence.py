@@ -71,6 +71,6 @@ def files_in_words(measurements: Sequence[Measurement], n_all: int) -> str:
     """Return which of so many files, four of them by their names."""
     names = ", ".join(m.name for m in measurements[:4])
     if len(measurements) == n_all:
-        return f"all {n_all} files"
+        return f"all {n_all} files" if n_all > 1 else "the one file"
     more = f" and {len(measurements) - 4} more" if len(measurements) > 4 else ""
     return f"{len(measurements)} of {n_all} files ({names}{more})"

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Finding
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import FloatArray
@@ -116,17 +116,16 @@ def recorded(
             raise
         own = measured_scene(scene, measurements)
         causes = arrivals.arrival_findings(own, counted_once(own, responses)[0])
-        if not causes:
-            raise
-        raise InputError(
-            error.what,
-            where=error.where,
-            found=error.found,
-            needed=error.needed,
-            hint=" ".join(cause.sentence for cause in causes),
-        ) from error
+        raise with_causes(error, causes) from error
     responses = [m.measurement for m in measured.responses]
     return Recorded(measured, arrivals.arrival_findings(measured.scene, responses))
+
+
+def with_causes(error: RoomfitError, causes: Iterable[Finding]) -> RoomfitError:
+    """Return an error with the causes that are known, if there are any, as what to try."""
+    parts = {k: getattr(error, k) for k in ("where", "found", "needed", "points_m")}
+    hint = " ".join(cause.sentence for cause in causes) or error.hint
+    return type(error)(error.what, hint=hint, **parts)
 
 
 def fitted_evidence(

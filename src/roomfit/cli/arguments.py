@@ -215,8 +215,7 @@ _COMMANDS: dict[str, tuple[Any, ...]] = {
         _flag("--quick", "First answers, as identify --quick; beside full ones, which another run "
               "gives."),
         [
-            _value("--workers", "Processes of a cluster on this machine (needs the extra cluster).",
-                   type=positive_number),
+            _value("--workers", "Processes of this machine.", type=positive_number),
             _value("--scheduler", "Address of a running dask scheduler, as tcp://10.0.0.1:8786 "
                    "(needs the extra cluster). Campaigns and results must have the same paths on "
                    "all its workers.", metavar="ADDRESS"),

@@ -36,6 +36,7 @@ from roomfit.signals.response import (
     check_travel,
     clipping_findings,
     compare_onset,
+    evaluated_from_s,
     find_onset,
     same_recordings,
     time_zero_from_direct,
@@ -170,12 +171,13 @@ def recording_findings(scene: Scene, measured: Sequence[MeasuredPair]) -> tuple[
             own += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
         read += own
         own = [*range_findings(p.parameters, name)]
-        if m.time_zero == "emission":
-            onset_s = find_onset(p.response, m.where)
+        if m.time_zero != "direct":
+            onset_s, stated = find_onset(p.response, m.where), m.time_zero == "emission"
             ends_m = at_m[0][m.source], at_m[1][m.receiver]
             # round a corner the first sound comes late, as it should
             if onset_s <= p.direct_s or is_in_sight(scene.room.mesh, *ends_m):
-                own = [*compare_onset(onset_s, p.direct_s, speed_m_s, name, rate_hz), *own]
+                both = onset_s, p.direct_s
+                own = [*compare_onset(*both, speed_m_s, name, rate_hz, is_stated=stated), *own]
         evaluated += [replace(f, about=replace(f.about, files=[m.where], pairs=pairs)) for f in own]
     return (*read, *evaluated)
 
@@ -208,8 +210,9 @@ def on_one_clock(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
     ):
         check_travel(response, direct_s, m.where)
-        noise = estimate_noise(bands, response, filter_pressure(bands, response), direct_s)
-        curve = decay_curve(bands, response, direct_s)
+        start_s = evaluated_from_s(response, direct_s, c, m.where)
+        noise = estimate_noise(bands, response, filter_pressure(bands, response), start_s)
+        curve = decay_curve(bands, response, start_s)
         parameters = room_parameters(curve)
         check_decay_range(curve, m.where)
         end_s = fit_ends_s(noise, curve, decay_range_db)

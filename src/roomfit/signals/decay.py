@@ -268,7 +268,8 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     sweep climbs: the median frequency rises from block to block by two octaves or more in all. A
     long excitation of any kind does not decay: half its energy arrives in more than 0.6 of the time
     of the other half (an exponential decay: 0.28), and no peak exceeds its mean by 16 dB. Hum is
-    left out first, since it neither climbs nor decays: a response with hum is a response.
+    left out first, since it neither climbs nor decays: a response with hum is a response. Refused
+    is a second sound, too: no room is silent for a tenth of a second and then loud again.
     """
     pressure = _without_hum(response.pressure)
     cumulative = np.cumsum(pressure**2)
@@ -285,6 +286,29 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
         needed = "the response after deconvolution: one onset, then a decay"
         hint = 'name the sweep as it was played: excitation = "sweep.wav" under [defaults]'
         raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+    again_s = _begins_again_s(pressure, response.sampling_rate_hz)
+    if again_s is not None:
+        what, found = "the file holds a second sound", f"one {again_s:.2f} s after its beginning"
+        needed = "the response after one excitation: one onset, then a decay"
+        hint = "cut the file before the second sound, or behind a click before the response"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+
+
+def _begins_again_s(pressure: FloatArray, rate_hz: float) -> float | None:
+    """Return when a second sound begins, after the first sample; None where there is none.
+
+    Blocks of 50 ms from the onset on, after two that are 20 dB quieter, and 30 dB below the loudest
+    at most. Not in the last tenth, where circular deconvolution leaves what precedes the response.
+    """
+    n, end = round(_SHORTEST_EXCITATION_S * rate_hz), int(0.9 * len(pressure))
+    size = np.abs(pressure)
+    first = int(np.argmax(size >= 0.1 * size.max()))
+    n_blocks = max(end - first, 0) // n
+    energy = np.sum(pressure[first : first + n_blocks * n].reshape(-1, n) ** 2, axis=1)
+    quietest = np.minimum.accumulate(np.maximum(energy[:-1], energy[1:]))[:-1]
+    loud = energy[2:] >= 1e-3 * energy.max(initial=0.0)
+    again = np.flatnonzero(loud & (energy[2:] >= 100.0 * quietest))
+    return float((first + (2 + again[0]) * n) / rate_hz) if again.size else None
 
 
 def _without_hum(pressure: FloatArray) -> FloatArray:

@@ -265,14 +265,21 @@ def onset_tolerance_m(speed_of_sound_m_s: float, sampling_rate_hz: float) -> flo
 
 
 def compare_onset(
-    onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str, sampling_rate_hz: float
+    onset_s: float,
+    travel_s: float,
+    speed_of_sound_m_s: float,
+    where: str,
+    sampling_rate_hz: float,
+    *,
+    is_stated: bool = True,
 ) -> tuple[Finding, ...]:
     """Return a finding where the onset and the geometry disagree by more than 10 cm.
 
     The length of three samples is added to that; the finding is serious from 3 m on.
 
     `onset_s`: measured, from `find_onset`. `travel_s`: distance over speed of sound. `where`: names
-    the response in the sentence.
+    the response in the sentence. `is_stated`: whether emission is by the file's clock and latency;
+    else it was estimated from several files, and a latency changes nothing.
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
     if abs(apart_m) <= onset_tolerance_m(speed_of_sound_m_s, sampling_rate_hz):
@@ -280,19 +287,35 @@ def compare_onset(
     sentence = (
         f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms "
         f"{'later' if apart_m > 0.0 else 'earlier'} "
-        f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
-        "latency_s, time_zero and whether it is the file of this pair; sound that is blocked "
-        "or that a loudspeaker sends elsewhere arrives late, too."
+        f"than the geometry says, which is {abs(apart_m):.2f} m of path"
+    )
+    if onset_s < 0.0:
+        sentence += f", and {-onset_s:.3g} s before it was emitted: the recording began too late"
+    sentence += (
+        ". Check the positions, latency_s, time_zero and whether it is the file of this pair; "
+        "sound that is blocked or that a loudspeaker sends elsewhere arrives late, too."
     )
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
+    files, now = ("measurements", "*"), ["emission"] if is_stated else ["unknown"]
+    advised = [Remedy([Edit(files, "time_zero", "direct", now=now)])]
     graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
-    advised = Remedy([Edit(("measurements", "*"), "time_zero", "direct", now=["emission"])])
-    about = About(files=[where])
-    return (
-        Finding(
-            Code.TIME_ZERO_MISMATCH, about, sentence, evidence, graded=graded, remedies=[advised]
-        ),
-    )
+    if graded == "serious" and is_stated:
+        advised.append(Remedy([Edit(files, "latency_s", onset_s - travel_s, "add")], once=True))
+    own = About(files=[where]), sentence, evidence
+    return (Finding(Code.TIME_ZERO_MISMATCH, *own, graded=graded, remedies=advised),)
+
+
+def evaluated_from_s(
+    response: ImpulseResponse, travel_s: float, speed_of_sound_m_s: float, where: str | None = None
+) -> float:
+    """Return when a recording's direct sound arrives, by the geometry unless that cannot be.
+
+    Its own onset where both are 3 m of path apart and more: the decay of a file with a wrong clock
+    is what it is.
+    """
+    onset_s = find_onset(response, where)
+    apart_m = abs(onset_s - travel_s) * speed_of_sound_m_s
+    return onset_s if apart_m > _SERIOUS_M else travel_s
 
 
 def time_zero_from_direct(

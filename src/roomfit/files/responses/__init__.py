@@ -51,7 +51,7 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     --------
     >>> import tempfile
     >>> import soundfile
-    >>> decay = np.exp(-np.arange(4800) / 480.0)
+    >>> decay = np.exp(-np.arange(4800) / 480.0) * np.cos(np.arange(4800))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "S1_R1.wav"
     ...     soundfile.write(file, decay, 48000, subtype="DOUBLE")

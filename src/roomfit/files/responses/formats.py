@@ -251,6 +251,8 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
     Refused are encodings that lose what is needed.
     """
     name, findings = spec.path.name, list[Finding]()
+    if content.startswith(b"BW64"):  # of ITU-R BS.2088: RF64 but for its name
+        content = (b"RF64" if content[12:16] == b"ds64" else b"RIFF") + content[4:]
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
@@ -283,12 +285,10 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
             rate_hz = float(file.samplerate)
             return Recording(samples[:, channel].copy(), rate_hz, 0.0, tuple(findings))
     except (soundfile.SoundFileError, RuntimeError, ValueError, OverflowError, MemoryError) as why:
-        is_sound = content[:4] in (b"RIFF", b"RF64", b"fLaC", b"FORM", b"riff")
-        start = f"a file of {len(content)} bytes that begins with {content[:12]!r}"
         kind = "WAV" if spec.path.suffix.lower().startswith(".wav") else "FLAC, AIFF or Wave64"
         raise InputError(
             f"this is not a {kind} file that can be read",
-            found=str(why) if is_sound else start,
+            found=f"a file of {len(content)} bytes that begins with {content[:12]!r}",
             needed="PCM or floating-point samples under a header of that format",
             hint="export it again, under a name that ends as its format demands",
         ) from why
