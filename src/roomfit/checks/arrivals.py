@@ -378,22 +378,6 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     return _Explanation(evidence, words, (finding,))
 
 
-def with_corrected_clocks(
-    measurements: Sequence[Measurement], findings: Sequence[Finding]
-) -> list[Measurement]:
-    """Return recordings on the clocks that findings advise first."""
-    late = [f for f in findings if f.code is Code.RECORDINGS_LATE]
-    advised = {(e.table[1], e.key): e.value for f in late for e in f.remedies[0].edits}
-    corrected = []
-    for m in measurements:
-        zero, late_s = (advised.get((m.where, key)) for key in ("time_zero", "latency_s"))
-        if m.time_zero == "emission" and (zero or late_s):
-            latency_s = m.latency_s + (late_s or 0.0)
-            m = replace(m, time_zero=zero or m.time_zero, latency_s=latency_s)
-        corrected.append(m)
-    return corrected
-
-
 def _exchanged(found: _Arrivals) -> _Findings:
     """Two files, receivers or sources have each other's name; one exchange mends it all."""
     middle_m = float(np.median(found.late_m))

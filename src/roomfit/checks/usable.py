@@ -14,7 +14,7 @@ from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks import room
-from roomfit.checks.arrivals import arrival_findings, with_corrected_clocks
+from roomfit.checks.arrivals import arrival_findings
 from roomfit.checks.evidence import Recorded, about_files
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.fit.measurements import measured_scene, median_decay_s
@@ -33,9 +33,7 @@ from roomfit.signals.response import find_onset
 class CheckedRecordings(Shown):
     """Recordings by pair and band before a fit.
 
-    Rows are recordings in their order; those that a fit refuses have NaN throughout. Where
-    recordings are late alike, all but `onset_s` is what it is with the latency that the finding
-    says to set.
+    Rows are recordings in their order; those that a fit refuses have NaN throughout.
     """
 
     described_in: ClassVar[str] = "check"
@@ -105,13 +103,11 @@ def check_recordings(
     own = measured_scene(scene, measurements)
     given = [m for m in measurements if isinstance(m, Measurement)]
     causes = arrival_findings(own, given)
-    # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
-    advised = with_corrected_clocks(given, causes)
     values = [m for m in measurements if isinstance(m, MeasuredValues)]
     refused: dict[Measurement, InputError] = {}
     found: Recorded | None = None
     while found is None and len(refused) < len(measurements):
-        kept = [m for m in advised if m not in refused]
+        kept = [m for m in given if m not in refused]
         try:
             found = recorded(scene, [*kept, *values], bands, directivities or {}, decay_range_db)
         except InputError as error:
@@ -125,7 +121,7 @@ def check_recordings(
         known = {f.code for f in causes}
         findings += [f for f in examine(BEFORE_THE_FIT, found) if f.code not in known]
         findings += room.check_schroeder(found)
-    return _table(own, dict(zip(given, advised, strict=True)), bands, found, tuple(findings))
+    return _table(own, given, bands, found, tuple(findings))
 
 
 def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> list[Finding]:
@@ -147,22 +143,21 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
 
 def _table(
     scene: Scene,
-    responses: dict[Measurement, Measurement],
+    responses: Sequence[Measurement],
     bands: Bands,
     found: Recorded | None,
     findings: tuple[Finding, ...],
 ) -> CheckedRecordings:
-    """Return the table of recordings, those as given to those as advised."""
+    """Return the table of recordings."""
     pairs = {} if found is None else {p.measurement: p for p in found.measured.responses}
     n, shape = len(responses), (len(responses), len(bands))
     onset_s, travel_s = np.full((2, n), np.nan)
     noise_db, range_db = np.full((2, *shape), np.nan)
     usable, has_t20 = np.zeros((2, *shape), dtype=np.bool_)
-    for i, (m, advised) in enumerate(responses.items()):
-        pair = pairs.get(advised)
+    for i, m in enumerate(responses):
+        pair = pairs.get(m)
         if pair is not None:
-            clock = m.response if m.time_zero == "emission" else pair.response
-            onset_s[i], travel_s[i] = find_onset(clock, m.where), pair.direct_s
+            onset_s[i], travel_s[i] = find_onset(pair.response, m.where), pair.direct_s
             noise_db[i], range_db[i] = pair.noise.peak_to_noise_db, pair.curve.usable_db
             usable[i] = pair.noise.tail_time_constant_s > 0.0
             has_t20[i] = pair.parameters.valid[PARAMETER_NAMES.index("T20_s")]
