@@ -100,36 +100,54 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def test_without_the_key_nothing_is_shown(server: Running) -> None:
     for path in ("/", "/files/result/report.html", "/_nicegui_ws/socket.io/?EIO=4", "/any"):
-        assert server.get(path, cookie=False).status == 403
-    assert server.get("/?token=wrong", cookie=False).status == 403
-    assert server.get(f"/?token={server.token}&token=x", cookie=False).status == 403
-    wrong = {"Cookie": f"roomfit-{server.port}=wrong; other=1"}
-    assert server.get("/", wrong, cookie=False).status == 403
-    assert server.put("/upload/room/a.obj", b"v 0 0 0", cookie=False).status == 403
+        for before in ("", "/", "/wrong", f"/{server.key[:-1]}", f"/{server.key}x", "/.."):
+            assert server.get(before + path, key=False).status == 403
+    assert server.get(f"/?token={server.key}", key=False).status == 403
+    assert server.get(f"/x/..%2F{server.key}/", key=False).status == 403
+    assert server.put("/upload/room/a.obj", b"v 0 0 0", key=False).status == 403
 
 
-def test_the_key_gives_a_cookie_that_scripts_and_other_sites_cannot_use(server: Running) -> None:
-    answer = server.get(f"/?token={server.token}", cookie=False)
-    assert answer.status == 303 and answer.headers["location"] == "/"
-    cookie = answer.headers["set-cookie"]
-    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and "Path=/" in cookie
-    assert server.token not in cookie  # who sees the address later cannot read the cookie from it
-    assert server.get("/").status == 200
+def test_no_other_port_of_the_machine_gets_the_key(server: Running) -> None:
+    """Another user listens there: no cookie goes to it, and no page says where one came from."""
+    for path in ("/", "/files/result/report.html", "/sweeps", "/any"):
+        headers = server.get(path).headers
+        assert "set-cookie" not in headers and headers["referrer-policy"] == "no-referrer"
+    page = server.get("/").body.decode()
+    assert "cookie" not in page.lower()
+    for address in re.findall(r'(?:src|href)="(/[^"]+)"', page):
+        assert server.get(address, key=False).status == 200 and server.key in address
+
+
+def test_the_key_is_no_argument_of_the_browser(tmp_path: Path) -> None:
+    """Another user sees all arguments: of a file that the user alone can read, which goes again."""
+    said, browser = tmp_path / "said", tmp_path / "browser"
+    browser.write_text(
+        f'#!/bin/sh\nstat -c %a "${{1#file://}}" > {said}.new\n'
+        f'echo "$1" >> {said}.new\ncat "${{1#file://}}" >> {said}.new\n'
+        f"mv {said}.new {said}\n"
+    )
+    browser.chmod(0o700)
+    with running(tmp_path / "project", browser=f"{browser} %s") as own:
+        end = time.monotonic() + 20.0
+        while not said.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        mode, argument, content = said.read_text().split("\n", 2)
+        assert mode == "600" and own.key not in argument and own.address in content
+        assert Path(argument.removeprefix("file://")).exists()
+    assert not Path(argument.removeprefix("file://")).exists()
 
 
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1.evil.example:{port}"]
 )
-def test_a_foreign_host_gets_400_even_with_the_cookie(server: Running, host: str) -> None:
+def test_a_foreign_host_gets_400_even_with_the_key(server: Running, host: str) -> None:
     assert server.get("/", {"Host": host.format(port=server.port)}).status == 400
-    key = f"/?token={server.token}"
-    assert server.get(key, {"Host": host.format(port=server.port)}, cookie=False).status == 400
 
 
 def test_two_hosts_or_none_get_400(server: Running) -> None:
     for hosts in ("", f"Host: 127.0.0.1:{server.port}\r\nHost: evil.example\r\n"):
         with socket.create_connection(("127.0.0.1", server.port), timeout=10) as own:
-            own.sendall(f"GET / HTTP/1.1\r\n{hosts}Cookie: {server.cookie}\r\n\r\n".encode())
+            own.sendall(f"GET /{server.key}/ HTTP/1.1\r\n{hosts}\r\n".encode())
             assert b" 400 " in own.recv(100)
 
 
@@ -140,14 +158,13 @@ def test_a_foreign_origin_is_refused(server: Running, origin: str) -> None:
     own = {"Origin": origin.format(port=server.port)}
     assert server.get("/", own).status == 403
     assert server.put("/upload/room/a.obj", b"v 0 0 0", own).status == 403
-    assert server.get(f"/?token={server.token}", own, cookie=False).status == 403
     assert server.websocket(own) == 403
 
 
-def test_a_websocket_needs_host_origin_and_cookie(server: Running) -> None:
+def test_a_websocket_needs_host_origin_and_key(server: Running) -> None:
     assert server.websocket({"Origin": f"http://127.0.0.1:{server.port}"}) == 101
     assert server.websocket({"Host": f"evil.example:{server.port}"}) == 400
-    assert server.websocket({}, cookie=False) == 403
+    assert server.websocket({}, key=False) == 403
 
 
 def test_an_upload_that_declares_too_much_gets_413_and_leaves_nothing(server: Running) -> None:
@@ -164,9 +181,8 @@ def test_an_upload_in_chunks_ends_at_the_limit(server: Running) -> None:
     try:
         connection.request(
             "PUT",
-            "/upload/room/chunked.obj",
+            f"/{server.key}/upload/room/chunked.obj",
             chunks,
-            {"Cookie": server.cookie},
             encode_chunked=True,
         )
         assert connection.getresponse().status == 413
@@ -245,8 +261,8 @@ def test_a_measurement_that_leads_elsewhere_or_is_endless_is_refused(
 def test_a_measurement_needs_the_key_and_leaves_nothing_where_it_is_of_no_use(
     server: Running,
 ) -> None:
-    assert server.get(f"/sweeps?{ASKED}", cookie=False).status == 403
-    assert server.put(f"/upload/measured?{ASKED}", b"", cookie=False).status == 403
+    assert server.get(f"/sweeps?{ASKED}", key=False).status == 403
+    assert server.put(f"/upload/measured?{ASKED}", b"", key=False).status == 403
     foreign = {"Origin": "http://evil.example"}
     assert server.put(f"/upload/measured?{ASKED}", b"", foreign).status == 403
     played = server.get(f"/sweeps?{ASKED}").body
@@ -408,14 +424,13 @@ def test_what_has_begun_in_time_may_take_longer(tmp_path: Path) -> None:
                 yield part
 
         connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
-        own = {"Cookie": server.cookie}
         with contextlib.closing(connection):
-            connection.request("PUT", "/upload/recordings/slow.wav", slowly(), own)
+            connection.request("PUT", f"/{server.key}/upload/recordings/slow.wav", slowly())
             answer = connection.getresponse()
             assert (answer.status, answer.will_close) == (200, False), answer.read()
             answer.read()
             time.sleep(1.5)
-            connection.request("GET", "/", None, own)
+            connection.request("GET", f"/{server.key}/")
             assert connection.getresponse().status == 200
         assert (server.folder / "recordings" / "slow.wav").read_bytes() == sound()
         origin = {"Origin": f"http://127.0.0.1:{server.port}"}

@@ -29,41 +29,38 @@ class Running:
     folder: Path
     address: str
     pid: int
-    cookie: str = ""
 
     @property
     def port(self) -> int:
         return int(re.search(r":(\d+)/", self.address)[1])  # type: ignore[index]
 
     @property
-    def token(self) -> str:
-        return self.address.partition("token=")[2]
+    def key(self) -> str:
+        return self.address.rstrip("/").rpartition("/")[2]
+
+    def below(self, path: str, key: bool) -> str:
+        return f"/{self.key}{path}" if key else path
 
     def ask(
-        self, method: str, path: str, body: bytes, headers: Mapping[str, str], cookie: bool
+        self, method: str, path: str, body: bytes, headers: Mapping[str, str], key: bool
     ) -> Answer:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
-        own = {"Cookie": self.cookie} if cookie else {}
         try:
-            connection.request(method, path, body or None, {**own, **headers})
+            connection.request(method, self.below(path, key), body or None, dict(headers))
             got = connection.getresponse()
             return Answer(got.status, {k.lower(): v for k, v in got.getheaders()}, got.read())
         finally:
             connection.close()
 
-    def get(
-        self, path: str, headers: Mapping[str, str] | None = None, cookie: bool = True
-    ) -> Answer:
-        return self.ask("GET", path, b"", headers or {}, cookie)
+    def get(self, path: str, headers: Mapping[str, str] | None = None, key: bool = True) -> Answer:
+        return self.ask("GET", path, b"", headers or {}, key)
 
     def put(
-        self, path: str, body: bytes, headers: Mapping[str, str] | None = None, cookie: bool = True
+        self, path: str, body: bytes, headers: Mapping[str, str] | None = None, key: bool = True
     ) -> Answer:
-        return self.ask("PUT", path, body, headers or {}, cookie)
+        return self.ask("PUT", path, body, headers or {}, key)
 
-    def websocket(
-        self, headers: Mapping[str, str], cookie: bool = True, after_s: float = 0.0
-    ) -> int:
+    def websocket(self, headers: Mapping[str, str], key: bool = True, after_s: float = 0.0) -> int:
         """Return the status with which a WebSocket is opened or refused; 101 is opened.
 
         0 where it was opened and is closed so many seconds later.
@@ -74,11 +71,10 @@ class Running:
             "Sec-WebSocket-Version": "13",
             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         }
-        path = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
-        own = {"Cookie": self.cookie} if cookie else {}
+        path = self.below("/_nicegui_ws/socket.io/?EIO=4&transport=websocket", key)
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         try:
-            connection.request("GET", path, None, {**upgrade, **own, **headers})
+            connection.request("GET", path, None, {**upgrade, **headers})
             status = connection.getresponse().status
             if after_s > 0.0:
                 time.sleep(after_s)
@@ -97,11 +93,15 @@ class Running:
 
 
 @contextmanager
-def running(folder: Path, limits: str = "") -> Iterator[Running]:
+def running(folder: Path, limits: str = "", browser: str = "") -> Iterator[Running]:
     """Start ``roomfit app`` as a user does, and end it."""
-    command = [sys.executable, "-m", "roomfit", "app", str(folder), "--port", "0", "--no-browser"]
+    command = [sys.executable, "-m", "roomfit", "app", str(folder), "--port", "0"]
+    own = {"ROOMFIT_LIMITS": limits, **({"BROWSER": browser} if browser else {})}
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "ROOMFIT_LIMITS": limits}
+        [*command, *([] if browser else ["--no-browser"])],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **own},
     )
     try:
         assert process.stdout is not None
@@ -109,10 +109,7 @@ def running(folder: Path, limits: str = "") -> Iterator[Running]:
         while found is None and (line := process.stdout.readline()):
             found = re.search(r"http://\S+", line)
         assert found is not None, "no address was printed"
-        own = Running(folder, found[0], process.pid)
-        given = own.get(f"/?token={own.token}", cookie=False)
-        own.cookie = given.headers["set-cookie"].partition(";")[0]
-        yield own
+        yield Running(folder, found[0], process.pid)
     finally:
         process.terminate()
         try:

@@ -127,7 +127,7 @@ class IdentifyTab(Tab):
                     return
                 heading(f"Absorption: {_NAMES[name][0]}")
                 page = project.MEAN_FILES[0] if name == project.MEAN else "report.html"
-                address = escape(f"/files/{name}/{page}?{made:.0f}")
+                address = escape(f"files/{name}/{page}?{made:.0f}")
                 markup(f'<iframe class="report" title="Report" src="{address}"></iframe>')
 
 
@@ -165,7 +165,7 @@ class ReportTab(Tab):
         if emptied(self.links, dict(self.exported)):
             with self.links:
                 for file in [file for files in self.exported.values() for file in files]:
-                    markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')
+                    markup(f'<a href="files/{escape(quote(file))}?save=1">{escape(file)}</a>')
 
     def _show_answer(self, found: Path | None) -> None:
         if found is None:
@@ -175,9 +175,9 @@ class ReportTab(Tab):
         heading(_NAMES[folder][1])
         names = [n for n in _FILES if (found.parent / n).is_file()]
         links = [
-            f'<a href="/files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names
+            f'<a href="files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names
         ] + [
-            f'<a href="/files/{folder}/{n}" target="_blank" rel="noopener">'
+            f'<a href="files/{folder}/{n}" target="_blank" rel="noopener">'
             "Open the report in a tab of its own</a>"
             for n in names
             if n.endswith(".html")

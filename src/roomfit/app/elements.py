@@ -161,7 +161,7 @@ def quiet_button(text: str, on_click: Then, spoken: str = "") -> ui.button:
 
 def file_address(file: Path) -> str:
     """Return the address of a file of a result; another one when it is written anew."""
-    return f"/files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
+    return f"files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
 
 
 def markup(content: str) -> ui.html:

@@ -26,7 +26,7 @@ export default {
       for (const [i, file] of files.entries()) {
         this.status = `Sending ${file.name} (${i + 1} of ${files.length})`;
         try {
-          const answer = await fetch(`/upload/${this.place}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
+          const answer = await fetch(`upload/${this.place}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
           if (answer.ok) taken.push(file.name);
           else refused.push(`${file.name}: ${(await answer.text()).slice(0, 1200)}`);
         } catch (error) {

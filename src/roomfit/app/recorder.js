@@ -112,12 +112,12 @@ export default {
       const { source, receiver } = this.asked; // which may be typed anew meanwhile
       const asked = new URLSearchParams({ ...this.asked, rate_hz: context.sampleRate });
       try {
-        const answer = await fetch(`/sweeps?${asked}`);
+        const answer = await fetch(`sweeps?${asked}`);
         if (!answer.ok) throw new Error(await answer.text());
         const played = new Float32Array(await answer.arrayBuffer());
         const recorded = await this.playAndRecord(played);
         this.status = "Computing the response";
-        const sent = await fetch(`/upload/measured?${asked}`, { method: "PUT", body: recorded });
+        const sent = await fetch(`upload/measured?${asked}`, { method: "PUT", body: recorded });
         if (!sent.ok) throw new Error(await sent.text());
         const quality = await sent.json();
         this.status = quality.again.length ? "Measured, but not good enough" : "Measured";

@@ -2,8 +2,9 @@
 
 A page on the user's own machine can be reached by every other page that the user's browser shows,
 and by every user of the machine. So each request must name this server in ``Host`` (a foreign name
-that leads here is DNS rebinding), come from no foreign ``Origin``, and carry a cookie that only the
-address with the random token gives. Bodies end at a limit, whatever they declare.
+that leads here is DNS rebinding), come from no foreign ``Origin``, and be below the random key that
+the address begins with: there is no cookie, which browsers send to every port of a machine. Bodies
+end at a limit, whatever they declare.
 """
 
 from __future__ import annotations
@@ -12,9 +13,7 @@ import ipaddress
 import json
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlencode
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -44,11 +43,10 @@ _TOO_LARGE = "larger than what is taken"
 
 
 class Door:
-    """Who is let in: whoever has the token of the address gets the cookie, and then with that."""
+    """Who is let in: whoever knows the key in the address."""
 
     def __init__(self, host: str, port: int, upload_bytes: int, names: Iterable[str] = ()) -> None:
-        self.token, self.session = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        self.cookie = f"roomfit-{port}"  # cookies know no ports: two workbenches would share one
+        self.base = f"/{secrets.token_urlsafe(32)}"  # of the path of every request
         self.port, self.upload_bytes = port, upload_bytes
         # any address in numbers is one of this server's: it listens at all of them
         self.any_address = host in ("0.0.0.0", "::")
@@ -86,7 +84,7 @@ class Door:
             return 400, "this server has another name"
         if not all(map(self.is_own_origin, _values(scope, b"origin"))):
             return 403, "a page of another origin has no business here"
-        if not self._has_cookie(scope):
+        if not _same(str(scope["path"])[: len(self.base) + 1], f"{self.base}/"):
             return 403, "open the address that `roomfit app` has printed: it holds the key"
         length = _values(scope, b"content-length")
         if any(not n.isascii() or not n.isdigit() or len(n) > 18 for n in length):
@@ -95,27 +93,19 @@ class Door:
             return 413, _TOO_LARGE
         return None
 
+    def inside(self, scope: Scope) -> Scope:
+        """Return a request that was let in as the application sees it, with the key as a prefix."""
+        # nothing is compressed: the page is to be read here, and the way is short
+        dropped = (b"accept-encoding", b"x-forwarded-prefix")
+        headers = [(k, v) for k, v in scope["headers"] if k not in dropped]
+        path = str(scope["path"])[len(self.base) :]
+        own = [*headers, (b"x-forwarded-prefix", self.base.encode())]
+        return {**scope, "path": path, "raw_path": path.encode(), "headers": own}
+
     def limit_bytes(self, scope: Scope) -> int:
         """Return how long a body may be."""
-        return self.upload_bytes if str(scope["path"]).startswith("/upload/") else _BODY_BYTES
-
-    def _has_cookie(self, scope: Scope) -> bool:
-        for text in _values(scope, b"cookie"):
-            try:
-                own = SimpleCookie(text).get(self.cookie)
-            except CookieError:
-                continue
-            if own is not None and _same(own.value, self.session):
-                return True
-        return False
-
-    def opens(self, scope: Scope) -> bool:
-        """Whether a request is a GET of the first page with the token, by nobody's script."""
-        if scope["type"] != "http" or scope["path"] != "/" or scope["method"] != "GET":
-            return False
-        tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-        is_own = all(map(self.is_own_origin, _values(scope, b"origin")))
-        return is_own and len(tokens) == 1 and _same(tokens[0], self.token)
+        is_upload = str(scope["path"]).startswith(f"{self.base}/upload/")
+        return self.upload_bytes if is_upload else _BODY_BYTES
 
 
 def _values(scope: Scope, name: bytes) -> list[str]:
@@ -138,28 +128,18 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             return await self.app(scope, receive, send)
         refused = self.door.refusal(scope)
-        if refused is not None and refused[0] == 403 and self.door.opens(scope):
-            return await self._give_cookie(scope, send)
         if refused is not None:
             return await _refuse(scope, send, *refused)
+        inside = self.door.inside(scope)
         if scope["type"] == "websocket":
-            return await self.app(scope, receive, send)
-        # nothing is compressed: the page is to be read here, and the way is short
-        plain = [(k, v) for k, v in scope["headers"] if k != b"accept-encoding"]
+            return await self.app(inside, receive, send)
         exchange = _Exchange(self.door.limit_bytes(scope), receive, send)
         try:
-            await self.app({**scope, "headers": plain}, exchange.receive, exchange.send)
+            await self.app(inside, exchange.receive, exchange.send)
         except Exception:
             if not exchange.is_over:  # else it is the consequence
                 raise
         return None
-
-    async def _give_cookie(self, scope: Scope, send: Send) -> None:
-        given = parse_qs(scope["query_string"].decode("latin-1"))
-        rest = urlencode({k: v for k, v in given.items() if k != "token"}, doseq=True)
-        cookie = f"{self.door.cookie}={self.door.session}; Path=/; HttpOnly; SameSite=Strict"
-        headers = {"location": "/" + (f"?{rest}" if rest else ""), "set-cookie": cookie}
-        await _answer(send, 303, b"", headers)
 
 
 class _Exchange:

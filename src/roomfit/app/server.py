@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import secrets
 import shutil
 import socket
 import sys
+import tempfile
 import webbrowser
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import FrameType
 
 import h11
 import uvicorn
@@ -210,7 +213,7 @@ async def serve(
     port = int(listening.getsockname()[1])
     door = Door(host, port, int(limit("file_bytes")), (socket.gethostname(),))
     shown = "127.0.0.1" if door.any_address else host
-    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?token={door.token}"
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}{door.base}/"
     config = uvicorn.Config(
         application(bench, door),
         log_level="warning",
@@ -221,14 +224,26 @@ async def serve(
         date_header=False,
         proxy_headers=False,
         ws_max_size=2**20,
-        timeout_graceful_shutdown=2,
+        timeout_graceful_shutdown=0,
     )
     say(f"The workbench of {folder} is at\n  {address}\nCtrl-C ends it.")
     sys.stdout.flush()
-    if open_browser:
-        with contextlib.suppress(webbrowser.Error):
-            webbrowser.open(address)
-    await uvicorn.Server(config).serve(sockets=[listening])
+    with tempfile.TemporaryDirectory(prefix="roomfit-") as hidden:
+        if open_browser:  # by a file that the user alone can read: others see a browser's arguments
+            page = Path(hidden) / "roomfit.html"
+            page.touch(0o600)
+            page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', "ascii")
+            with contextlib.suppress(webbrowser.Error):
+                webbrowser.open(page.as_uri())
+        await _Server(config).serve(sockets=[listening])
+
+
+class _Server(uvicorn.Server):
+    """Says nothing of requests that its end cuts off."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+        super().handle_exit(sig, frame)
 
 
 def _socket(host: str, port: int | None) -> socket.socket:

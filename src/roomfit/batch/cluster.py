@@ -15,13 +15,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from pathlib import Path
 from typing import Any
 
 from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError, StoreError
@@ -65,11 +64,11 @@ def in_processes(
             while len(busy) < n_workers:
                 if (own := again.popleft() if again else next(waiting, None)) is None:
                     break
-                process, pipe = _started(own[1])
-                busy[pipe] = process, *own
+                process, receiving = _started(own[1])
+                busy[receiving] = process, *own
             if not busy:
                 return
-            while not (done := wait([*busy], _SILENCE_S)):
+            while not (done := list[Any](wait([*busy], _SILENCE_S))):
                 _LOG.log(_NOTICE, "waiting for %d tasks since %s", len(busy), since)
             for pipe in done:
                 process, number, task = busy.pop(pipe)
@@ -118,13 +117,10 @@ def _carry_out(task: Task, sending: Connection, parent: int) -> None:
 
 
 def _memory_bytes() -> int:
-    """Return the memory of this machine, or of the container; 0 where the system does not say."""
-    found = []
+    """Return the memory of this machine; 0 where the system does not say."""
     with suppress(AttributeError, OSError, ValueError):
-        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    with suppress(OSError, ValueError):  # "max": no limit
-        found.append(int(Path("/sys/fs/cgroup/memory.max").read_text("ascii")))
-    return min(found, default=0)
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 def _all_died(deaths: int) -> RoomfitError:
@@ -160,39 +156,25 @@ def _completed(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
 
     Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
     thread of the workers are submitted and not yet yielded. When the iterator is closed, those that
-    wait are dropped. After a minute in which none ends, a message says so.
-
-    Dask blames a worker's death on every task that was given to it, those that only waited there
-    included. A task given up for it is therefore tried once more when no other is left that could
-    be the cause.
+    wait are dropped. Dask blames a worker's death on every task that was given to it, those that
+    only waited there included: a task given up for it is tried once more.
     """
-    distributed = _distributed()
-    waiting = enumerate(tasks)
+    waiting, again = enumerate(tasks), set[int]()
     running: dict[Any, tuple[int, Task]] = {}
-    given_up: deque[tuple[int, Task]] = deque()
-    since, alone = time.strftime("%H:%M:%S"), False
     try:
         while True:
             n_threads = max(1, sum(client.nthreads().values()))
             for number, task in islice(waiting, max(0, TASKS_A_THREAD * n_threads - len(running))):
                 running[client.submit(task, pure=False)] = number, task
-            alone = alone or not running
-            if given_up and not running:
-                number, task = given_up.popleft()
-                running[client.submit(task, pure=False)] = number, task
             if not running:
                 return
-            try:
-                with client.as_current():
-                    done, _ = distributed.wait([*running], _SILENCE_S, "FIRST_COMPLETED")
-            except TimeoutError:
-                _LOG.log(_NOTICE, "waiting for %d tasks since %s", len(running), since)
-                continue
-            since = time.strftime("%H:%M:%S")
+            with client.as_current():
+                done, _ = _distributed().wait([*running], return_when="FIRST_COMPLETED")
             for future in done:
                 number, task = running.pop(future)
-                if not alone and _died(future):
-                    given_up.append((number, task))
+                if _died(future) and number not in again:
+                    again.add(number)
+                    running[client.submit(task, pure=False)] = number, task
                 else:
                     yield number, _end_of(future)
     except (CancelledError, OSError) as error:  # also of dask itself, when its scheduler is gone
@@ -218,9 +200,15 @@ def _end_of(future: Any) -> Any:
 
 @contextmanager
 def _client(scheduler: str) -> Iterator[Any]:
-    """Give a client of a running dask cluster, which says nothing by itself."""
+    """Give a client of a running dask cluster; whatever ends a task is reported by us alone."""
     distributed = _distributed()
-    with _without_dasks_messages():
+    with ExitStack() as stack:
+        for handler in logging.getLogger("distributed").handlers:
+            stack.callback(handler.setLevel, handler.level)
+            handler.setLevel(logging.CRITICAL + 1)
+        for logger in map(logging.getLogger, ("tornado.application", "asyncio")):
+            stack.callback(setattr, logger, "disabled", logger.disabled)
+            logger.disabled = True
         try:
             client = distributed.Client(scheduler, timeout=_CONNECTING_S, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -231,8 +219,7 @@ def _client(scheduler: str) -> Iterator[Any]:
                 needed="the address of a running dask scheduler, as tcp://10.0.0.1:8786",
                 hint="start one with: dask scheduler --host 127.0.0.1",
             ) from error
-        with client:
-            yield client
+        yield stack.enter_context(client)
 
 
 def _distributed() -> Any:
@@ -242,25 +229,6 @@ def _distributed() -> Any:
         what = "a cluster needs a package that is not installed"
         hint = "pip install 'roomfit[cluster]'"
         raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
-
-
-@contextmanager
-def _without_dasks_messages() -> Iterator[None]:
-    """Leave out what dask itself logs in this process: whatever ends a task is reported by us."""
-    handlers = logging.getLogger("distributed").handlers
-    others = [logging.getLogger(name) for name in ("tornado.application", "asyncio")]
-    before = [h.level for h in handlers], [logger.disabled for logger in others]
-    for handler in handlers:
-        handler.setLevel(logging.CRITICAL + 1)
-    for logger in others:
-        logger.disabled = True
-    try:
-        yield
-    finally:
-        for handler, level in zip(handlers, before[0], strict=True):
-            handler.setLevel(level)
-        for logger, was in zip(others, before[1], strict=True):
-            logger.disabled = was
 
 
 def check_memory(limit_bytes: int, where: str, hint: str) -> None:

@@ -275,13 +275,10 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
     if latency_s is not None:
         advice = f"set latency_s = {latency_s:.7g}"
     who = files_in_words(measurements, n_all)
-    one = len(measurements) == 1
-    how = (
-        f"{'is' if one else 'are'} {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
-    )
+    how = f"are {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
     if abs(late_s) > _LEAD_S:
         when = "before" if late_s > 0.0 else "after"
-        how = f"begin{'s' * one} {abs(late_s):.2f} s {when} the sound is emitted"
+        how = f"began {abs(late_s):.2f} s {when} the sound was emitted"
     text = (
         f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'

@@ -5,7 +5,6 @@ It falls where a window was left in the files, and stops where it was gated.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,7 +12,6 @@ import numpy as np
 from scipy.special import chdtri, digamma, polygamma, stdtrit
 
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.kernels import kernel
 from roomfit.base.typing import FloatArray
 from roomfit.checks.evidence import Evidence, about_files, file_name
 from roomfit.signals.measurement import MeasuredPair
@@ -223,27 +221,6 @@ def _least_squares(files: Sequence[_Levels], ring_per_s: float) -> tuple[float, 
     return float(rate), float(np.sqrt(covariance[0, 0])), chi2, n_free
 
 
-@kernel()
-def _butterworth(x: FloatArray, order: int, edge: float, high: float) -> FloatArray:
-    """Return x after a Butterworth filter of even order, causal: high-pass for 1, low-pass for -1.
-
-    `edge` is tan(pi f / sampling rate). scipy.signal's takes half a second to load.
-    """
-    y = x.astype(np.float64)
-    for k in range(order // 2):
-        damping = 2.0 * edge * math.cos(math.pi * (k + 0.5) / order)
-        norm = 1.0 + damping + edge * edge
-        gain = (1.0 if high > 0.0 else edge * edge) / norm
-        a1, a2 = 2.0 * (edge * edge - 1.0) / norm, (1.0 - damping + edge * edge) / norm
-        before, earlier = 0.0, 0.0
-        for i in range(len(y)):
-            new = gain * y[i] + before
-            before = earlier - 2.0 * high * gain * y[i] - a1 * new
-            earlier = gain * y[i] - a2 * new
-            y[i] = new
-    return y
-
-
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     """Return what noise may be in one file; None where there is too little of it.
 
@@ -260,8 +237,10 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     size = int(share * (end - direct)) // _TAIL_BLOCKS
     if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < _LEAST_RATE_HZ:
         return None
-    pressure = _butterworth(x, 4, math.tan(math.pi * _TAIL_HZ / rate_hz), 1.0)
-    pressure = _butterworth(pressure, 8, math.tan(math.pi * _MOST_OF_RATE), -1.0)
+    from scipy.signal import butter, sosfilt  # takes half a second to load
+
+    high = butter(4, _TAIL_HZ, "high", fs=rate_hz, output="sos")
+    pressure = sosfilt(np.concatenate([high, butter(8, 2.0 * _MOST_OF_RATE, output="sos")]), x)
     before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
     tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
     first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])

@@ -32,11 +32,11 @@ from roomfit.signals.iso3382 import MeasuredValues, joined_values
 from roomfit.signals.measurement import MeasuredPair, Measurement, Use
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import (
+    SERIOUS_M,
     ImpulseResponse,
     check_travel,
     clipping_findings,
     compare_onset,
-    evaluated_from_s,
     find_onset,
     same_recordings,
     time_zero_from_direct,
@@ -210,7 +210,9 @@ def on_one_clock(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
     ):
         check_travel(response, direct_s, m.where)
-        start_s = evaluated_from_s(response, direct_s, c, m.where)
+        onset_s = find_onset(response, m.where)
+        # the decay of a file with a wrong clock is what it is
+        start_s = onset_s if abs(onset_s - direct_s) * c > SERIOUS_M else direct_s
         noise = estimate_noise(bands, response, filter_pressure(bands, response), start_s)
         curve = decay_curve(bands, response, start_s)
         parameters = room_parameters(curve)

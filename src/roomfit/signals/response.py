@@ -179,7 +179,7 @@ _ABOVE_NOISE = 5.0
 _TOLERANCE_M = 0.1
 _ONSET_SAMPLES = 3.0  # error of `find_onset` itself, of half of all clicks of full bandwidth
 # Larger than any error of a position: early and late windows contain the wrong reflections.
-_SERIOUS_M = 3.0
+SERIOUS_M = 3.0
 
 
 def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
@@ -298,24 +298,11 @@ def compare_onset(
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
     files, now = ("measurements", "*"), ["emission"] if is_stated else ["unknown"]
     advised = [Remedy([Edit(files, "time_zero", "direct", now=now)])]
-    graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
+    graded: Severity = "serious" if abs(apart_m) > SERIOUS_M else "warning"
     if graded == "serious" and is_stated:
         advised.append(Remedy([Edit(files, "latency_s", onset_s - travel_s, "add")], once=True))
     own = About(files=[where]), sentence, evidence
     return (Finding(Code.TIME_ZERO_MISMATCH, *own, graded=graded, remedies=advised),)
-
-
-def evaluated_from_s(
-    response: ImpulseResponse, travel_s: float, speed_of_sound_m_s: float, where: str | None = None
-) -> float:
-    """Return when a recording's direct sound arrives, by the geometry unless that cannot be.
-
-    Its own onset where both are 3 m of path apart and more: the decay of a file with a wrong clock
-    is what it is.
-    """
-    onset_s = find_onset(response, where)
-    apart_m = abs(onset_s - travel_s) * speed_of_sound_m_s
-    return onset_s if apart_m > _SERIOUS_M else travel_s
 
 
 def time_zero_from_direct(
