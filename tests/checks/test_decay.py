@@ -158,7 +158,10 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(
     is_serious = known and many
     assert findings[0].severity == ("serious" if is_serious else "warning")
     # of 8 that differ as no interference explains, none says more than a hint
-    apart = [r._replace(returned=r.returned + 0.5 * (-1) ** i) for i, r in enumerate(seen)]
+    apart = [
+        r._replace(returned=r.returned + 0.5 * (-1) ** (4 * i // len(seen)))
+        for i, r in enumerate(seen)
+    ]
     differing = reflection_findings(
         wall_returns(apart, measured, traced.scattering), HIGH, WALLS, (fit, fit - 0.04, fit + 0.04)
     )

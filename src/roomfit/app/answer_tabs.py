@@ -174,14 +174,10 @@ class ReportTab(Tab):
         folder = found.parent.name
         heading(_NAMES[folder][1])
         names = [n for n in _FILES if (found.parent / n).is_file()]
-        links = [
-            f'<a href="files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names
-        ] + [
-            f'<a href="files/{folder}/{n}" target="_blank" rel="noopener">'
-            "Open the report in a tab of its own</a>"
-            for n in names
-            if n.endswith(".html")
-        ]
+        links = [f'<a href="files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names]
+        text, how = "Open the report in a tab of its own", 'target="_blank" rel="noopener"'
+        pages = [n for n in names if n.endswith(".html")]
+        links += [f'<a href="files/{folder}/{n}" {how}>{text}</a>' for n in pages]
         markup(f"<ul>{''.join(f'<li>{link}</li>' for link in links)}</ul>")
         if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
             return

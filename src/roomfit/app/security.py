@@ -13,6 +13,7 @@ import ipaddress
 import json
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from contextlib import suppress
 from typing import Any
 
 Scope = MutableMapping[str, Any]
@@ -64,13 +65,11 @@ class Door:
         name, mark, port = host.rpartition(":")
         if not mark or port != str(self.port):
             return False
-        if name.lower() in self.names or not self.any_address:
-            return name.lower() in self.names
-        try:  # an address in numbers cannot be rebound
-            ipaddress.ip_address(name.strip("[]"))
-        except ValueError:
-            return False
-        return True
+        is_own = name.lower() in self.names
+        if self.any_address and not is_own:  # an address in numbers cannot be rebound
+            with suppress(ValueError):
+                is_own = bool(ipaddress.ip_address(name.strip("[]")))
+        return is_own
 
     def is_own_origin(self, origin: str) -> bool:
         """Whether an ``Origin`` is a page of this server; "null" is none."""
@@ -104,8 +103,8 @@ class Door:
 
     def limit_bytes(self, scope: Scope) -> int:
         """Return how long a body may be."""
-        is_upload = str(scope["path"]).startswith(f"{self.base}/upload/")
-        return self.upload_bytes if is_upload else _BODY_BYTES
+        place = f"{self.base}/upload/"
+        return self.upload_bytes if str(scope["path"]).startswith(place) else _BODY_BYTES
 
 
 def _values(scope: Scope, name: bytes) -> list[str]:

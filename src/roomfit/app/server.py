@@ -15,7 +15,6 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 
 import h11
 import uvicorn
@@ -235,15 +234,10 @@ async def serve(
             page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', "ascii")
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(page.as_uri())
-        await _Server(config).serve(sockets=[listening])
-
-
-class _Server(uvicorn.Server):
-    """Says nothing of requests that its end cuts off."""
-
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
-        super().handle_exit(sig, frame)
+        server = uvicorn.Server(config)
+        # nothing of requests that its end cuts off
+        logging.getLogger("uvicorn.error").addFilter(lambda _: not server.should_exit)
+        await server.serve(sockets=[listening])
 
 
 def _socket(host: str, port: int | None) -> socket.socket:

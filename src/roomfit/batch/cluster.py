@@ -11,7 +11,6 @@ import logging
 import multiprocessing
 import os
 import sys
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -37,8 +36,6 @@ _CONNECTING_S = 20
 _MOST_DEATHS = 3
 # A room takes 310 to 370 MB.
 LEAST_MEMORY_BYTES = 400_000_000
-# After so long without an end of a task, a message names who is waited for.
-_SILENCE_S = 60.0
 
 
 def in_processes(
@@ -56,28 +53,22 @@ def in_processes(
         message = "%d workers, each with up to %.1f GB of this machine's memory"
         _LOG.log(_NOTICE, message, n_workers, 1e-9 * each_bytes)
         list(in_processes([warm], 1))  # where it fails, rooms say why
-    waiting, deaths, again = enumerate(tasks), Counter[int](), deque[tuple[int, Task]]()
+    waiting, deaths = deque(enumerate(tasks)), Counter[int]()
     busy: dict[Any, tuple[BaseProcess, int, Task]] = {}
     try:
-        while True:
-            since = time.strftime("%H:%M:%S")
-            while len(busy) < n_workers:
-                if (own := again.popleft() if again else next(waiting, None)) is None:
-                    break
-                process, receiving = _started(own[1])
-                busy[receiving] = process, *own
-            if not busy:
-                return
-            while not (done := list[Any](wait([*busy], _SILENCE_S))):
-                _LOG.log(_NOTICE, "waiting for %d tasks since %s", len(busy), since)
-            for pipe in done:
+        while waiting or busy:
+            while waiting and len(busy) < n_workers:
+                number, task = waiting.popleft()
+                process, receiving = _started(task)
+                busy[receiving] = process, number, task
+            for pipe in list[Any](wait([*busy])):
                 process, number, task = busy.pop(pipe)
                 try:
                     yield number, pipe.recv()
                 except (EOFError, OSError):
                     deaths[number] += 1
                     if deaths[number] < _MOST_DEATHS:
-                        again.append((number, task))
+                        waiting.append((number, task))
                     else:
                         yield number, _all_died(_MOST_DEATHS)
                 process.join()
@@ -92,17 +83,9 @@ def _started(task: Task) -> tuple[BaseProcess, Connection]:
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_carry_out, args=(task, sending, os.getpid()), daemon=True)
-    of_each = {f"{name}_NUM_THREADS": "1" for name in ("NUMBA", "OMP", "OPENBLAS", "MKL")}
-    before = dict(os.environ)
-    os.environ.update(of_each)
-    try:
-        with interrupts_deferred():
-            process.start()
-    finally:
-        for name in of_each.keys() - before.keys():
-            del os.environ[name]
-        os.environ.update(before)
-        sending.close()
+    with interrupts_deferred():
+        process.start()
+    sending.close()
     return process, receiving
 
 

@@ -228,10 +228,9 @@ def _ends(
     for number, end in carry_out([partial(job, alone=False) for job in jobs]):
         if isinstance(end, StoreError):
             raise end
-        if isinstance(end, Exception):  # workers that died, or could not begin
-            own = isinstance(end, RoomfitError)
-            end = "failed", str(end) if own else f"{type(end).__name__}: {end}"
-        yield number, end
+        own = "" if isinstance(end, RoomfitError) else f"{type(end).__name__}: "
+        # workers that died, or could not begin
+        yield number, ("failed", f"{own}{end}") if isinstance(end, Exception) else end
 
 
 def room_row(out: Path, task: RoomTask) -> RoomRow:
