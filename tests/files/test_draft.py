@@ -221,7 +221,7 @@ def test_decimal_commas_between_commas_are_refused_and_a_unit_is_read_from_any_c
     with pytest.raises(InputError, match="semicolons"):
         read_positions(path)
     path.write_text("name,x,y,z [cm]\nLS1,120,150,110\n")
-    assert read_positions(path) == {"LS1": (1.2, 1.5, 1.1)}
+    assert read_positions(path)[0] == {"LS1": (1.2, 1.5, 1.1)}
 
 
 def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch, capsys):

@@ -10,7 +10,7 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.files.results import read_materials as read_table
-from roomfit.files.tables import table_rows
+from roomfit.files.tables import read_sheet
 from roomfit.files.values import read_decay_times, read_parameters, read_positions
 
 
@@ -31,7 +31,7 @@ def workbook(folder: Path, rows: list[list[object]], *, before: str = "") -> Pat
 def test_a_workbook_a_copy_of_its_cells_and_a_text_give_the_same_positions(tmp_path: Path) -> None:
     rows: list[list[object]] = [["Name", "x [cm]", "y", "z"], [], ["Bühne", 120.5, 150, "110,25"]]
     expected = {"Bühne": (1.205, 1.5, 1.1025)}
-    assert read_positions(workbook(tmp_path, rows)) == expected
+    assert read_positions(workbook(tmp_path, rows))[0] == expected
     for text in (
         "Name\tx [cm]\ty\tz\n\nBühne\t120,5\t150\t110,25\n",
         "Name;x in cm;y in cm;z in cm\nBühne;120,5;150;110,25\n",
@@ -39,17 +39,20 @@ def test_a_workbook_a_copy_of_its_cells_and_a_text_give_the_same_positions(tmp_p
     ):
         file = tmp_path / "table.csv"
         file.write_text(text, encoding="utf-8")
-        assert read_positions(file) == expected, text
+        assert read_positions(file)[0] == expected, text
 
 
 def test_cells_keep_their_columns_and_the_first_sheet_is_the_one_that_is_shown_first(
     tmp_path: Path,
 ) -> None:
     file = workbook(tmp_path, [["place", 500, 1000], ["A", None, 1.25]])
-    assert table_rows(file, "table")[1] == [(1, ["place", "500", "1000"]), (2, ["A", "", "1.25"])]
-    times, bands = read_decay_times(file)
+    rows = read_sheet(file, "table").rows
+    assert [row.cells for row in rows] == [["place", "500", "1000"], ["A", "", "1.25"]]
+    times, bands, _ = read_decay_times(file)
     assert times.tolist() == [[1.25]] and bands.centres_hz.tolist() == [1000.0]
-    assert read_positions(workbook(tmp_path, [["S2", 1, 2, 3]], before="new")) == {"S1": (9, 9, 9)}
+    assert read_positions(workbook(tmp_path, [["S2", 1, 2, 3]], before="new"))[0] == {
+        "S1": (9, 9, 9)
+    }
 
 
 def test_decay_times_that_were_copied_from_a_spreadsheet_are_read(tmp_path: Path) -> None:
@@ -90,10 +93,10 @@ def test_a_workbook_that_is_none_or_unfolds_to_anything_is_refused(
 ) -> None:
     file = tmp_path / "table.xlsx"
     file.write_bytes(_book(f"<s MAIN>{ROW}</s>"))
-    assert table_rows(file, "table") == ("\t", [(1, ["1"])])
+    assert [r.cells for r in read_sheet(file, "table").rows] == [["1"]]
     file.write_bytes(HOSTILE[kind])
     with pytest.raises(InputError, match="not an Excel workbook") as caught:
-        table_rows(file, "table")
+        read_sheet(file, "table")
     assert caught.value.found and caught.value.needed and caught.value.hint
 
 

@@ -320,7 +320,7 @@ def table_positions(folder: Path) -> dict[str, tuple[float, float, float]]:
     files = listed(folder, POSITIONS)
     found: dict[str, tuple[float, float, float]] = {}
     for file in sorted(files, key=lambda file: file.stat().st_mtime_ns):
-        found |= read_positions(inside(folder, file))
+        found |= read_positions(inside(folder, file))[0]
     return found
 
 

@@ -196,7 +196,7 @@ def _examine(folder: Path, view: dict[str, Any]) -> None:
 def table_positions(folder: Path, table: str = "") -> list[dict[str, Any]]:
     """Return positions in m by name of all tables that were sent, and those of one of them."""
     place = project.upload_place(folder, project.POSITIONS, table) if table else None
-    return [project.table_positions(folder), {} if place is None else read_positions(place)]
+    return [project.table_positions(folder), {} if place is None else read_positions(place)[0]]
 
 
 def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
@@ -259,7 +259,7 @@ def look_at_upload(folder: Path, kind: str, file: str) -> None:
         elif kind == project.DECAY_TIMES:
             read_decay_times(path)
         elif kind == project.POSITIONS:
-            positions = read_positions(path)
+            positions, _ = read_positions(path)
             if project.has_campaign(folder):  # in the unit of its room?
                 with project.filled_campaign(folder) as campaign, located(str(path)):
                     check_unit(read_mesh(campaign.room)[0], positions)

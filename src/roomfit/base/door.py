@@ -9,6 +9,7 @@ campaign may be the stranger's.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import hashlib
@@ -212,9 +213,9 @@ def _kind(mode: int) -> str:
 
 
 def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
-    """Return a text, UTF-8 (with a byte order mark or without) or else Latin-1."""
+    """Return a text, see `decoded`."""
     content = read_bytes(path, what, most=most)
-    if b"\0" in content:
+    if b"\0" in content and content[:2] not in _UTF_16:
         needed = f"a text file, as {Path(path).suffix or 'its name'} says"
         hint = "check that the file's name ends as its format demands"
         wrong, found = f"the {what} is not text", "bytes that are no letters"
@@ -222,10 +223,13 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
     return decoded(content)
 
 
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
 def decoded(content: bytes) -> str:
-    """Return text, UTF-8 or else Latin-1, with newlines at the ends of lines."""
+    """Return text, UTF-8 or UTF-16 by its mark, else Latin-1, newlines at the ends of lines."""
     try:
-        text = content.decode("utf-8-sig")
+        text = content.decode("utf-16" if content[:2] in _UTF_16 else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     return text.replace("\r\n", "\n").replace("\r", "\n")

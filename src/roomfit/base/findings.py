@@ -134,6 +134,7 @@ class Code(StrEnum):
     RESPONSE_CLIPPED = "response-clipped", "serious"
     DC_OFFSET = "dc-offset", "info"
     WAV_LENGTH_UNKNOWN = "wav-length-unknown", "warning"
+    TABLE_PARTLY_READ = "table-partly-read", "info"
 
     # The trace.
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
 from roomfit.base.whole_files import check_place, make_folder, write_text_atomically
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import blanks
@@ -50,6 +51,7 @@ def init(
         folder, spec, recordings, positions,
         decay_times=decay_times, because=because, overwrite=overwrite,
     )  # fmt: skip
+    doubts: tuple[Finding, ...] = ()
     written, file = tomllib.loads(text), folder / "campaign.toml"
     kinds = ("source", "receiver", "measurement")
     found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
@@ -66,8 +68,12 @@ def init(
             lines.append(f"left out, names that do not fit: {in_short(others)}")
     if positions is not None:
         points = {*written["sources"], *written["receivers"]}
-        idle = [name for name in read_positions(positions) if name not in points]
+        known, doubts = read_positions(positions)
+        idle = [name for name in known if name not in points]
         lines += [f"positions that no recording names: {in_short(idle)}"] if idle else []
+    if decay_times is not None:
+        doubts = read_decay_times(decay_times)[2]
+    lines += [finding.sentence for finding in doubts]
     box = None if shoebox is None else [f"{x:g}" for x in shoebox]
     stated = {"room": room, "shoebox": box, "recordings": recordings, **of_room}
     may_lack = positions is None and decay_times is None
@@ -147,7 +153,7 @@ def draft_to_folder(
             hint = "tables of pairs whose positions are known: parameters in [[measurements]]"
             raise InputError(what, found="both", needed="one or the other", hint=hint)
         read_decay_times(decay_times)
-    known = {} if positions is None else read_positions(positions)
+    known = {} if positions is None else read_positions(positions)[0]
     files = {} if decay_times is not None else matching_files(folder, recordings, known)
     text = draft_campaign(
         room,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from roomfit.base.door import files_read, reading_noted
@@ -106,6 +107,7 @@ def reverberation_to_folder(
         field.decay_s, field.bands, field.priors, field.areas_m2, field.volume_m3,
         speed_of_sound_m_s=field.speed_of_sound_m_s, attenuation_per_m=field.attenuation_per_m,
     )  # fmt: skip
+    found = replace(found, findings=field.findings)
     if out is not None:
         with whole_output_folder(out, overwrite=overwrite) as folder:
             content = diffuse_result_content(field, found, campaign.settings.seed, files_read())

@@ -14,9 +14,10 @@ from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands
 from roomfit.base.door import check_files
 from roomfit.base.errors import InputError, InsufficientDataError, located
+from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import Campaign, input_files
-from roomfit.files.encoding import provenance
+from roomfit.files.encoding import finding_content, provenance
 from roomfit.files.inputs import (
     campaign_room,
     campaign_scene,
@@ -200,8 +201,9 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
     """Return a campaign as a diffuse field, with its decay times if it has any, and its room."""
     own = campaign.reverberation
     decay_s, bands, volume = None, campaign.bands, None
+    findings: tuple[Finding, ...] = ()
     if own is not None:
-        decay_s, bands = read_decay_times(campaign.path.parent / own.file)
+        decay_s, bands, findings = read_decay_times(campaign.path.parent / own.file)
         volume = own.volume_m3
     room = campaign_room(campaign) if campaign.has_room else None
     if room is not None:
@@ -225,6 +227,7 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
     losses = attenuation_per_m(campaign.air, bands) + known_m2 / (4.0 * volume)
     return DiffuseField(
         formula, bands, priors, areas_m2, volume, speed_of_sound_m_s(campaign.air), losses, decay_s,
+        findings,
     ), room  # fmt: skip
 
 
@@ -289,7 +292,7 @@ def diffuse_result_content(
             "decay_s": found.decay_s,
             "decay_sd_s": found.decay_sd_s,
         },
-        "findings": [],
+        "findings": [finding_content(one) for one in found.findings],
         "fit": {
             "method": "decay times alone",
             "model": field.formula,

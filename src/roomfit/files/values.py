@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.base.arguments import check_known
+from roomfit.base.arguments import check_known, in_short
 from roomfit.base.bands import Bands, bands_of
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.tables import BandRow, band_rows, number_in, table_rows
+from roomfit.files.tables import (
+    OTHERS,
+    TIMES,
+    BandRow,
+    Row,
+    Sheet,
+    are_summaries,
+    are_units,
+    band_rows,
+    left_out,
+    quantity_in,
+    read_sheet,
+)
 from roomfit.formats.model import METRES_PER_UNIT
 from roomfit.signals.iso3382 import (
     MeasuredValues,
@@ -45,67 +59,256 @@ _PARAMETERS: dict[str, ValueName] = {
     "TS": "TS_ms",
     "G": "G_dB",
 }
+_NEVER_ZERO = ("T20_s", "T30_s", "EDT_s", "TS_ms")
+_PAIR = (
+    "source|src|sender|quelle|lautsprecher|loudspeaker",
+    "receiver|rec|mic|microphone|mikrofon|empfänger|position",
+    "parameter|param|quantity|größe|kenngröße|kennwert",
+)
+# Columns of names, what says it first before what may number them; words beside x, y, z, and words
+# of directions that x, y, z may be as well.
+_NAMES = (
+    r"(names?|label|bezeichnung|nom|nombre|nome|naam|navn|namn|code)\b.*",
+    r"(.*[\W_])?(id|nr|no|number|nummer|point|position|pos|punkt|station|place|platz|seat|receiver|"
+    r"source|mic|microphone|mikrofon|quelle|empfänger|sender|loudspeaker|channel)[\W_]*(id|nr|no|name)?\W*",
+)
+_AXIS = re.compile(r"(pos|coord|koord)?([xyz])(pos|coord|koord)?")
+_BESIDE_AXES = re.compile(r"pos|position|koord\w*|coord\w*|location|axis|achse")
+_TURNED = re.compile(r"q|quat\w*|n|normal|dir\w*|view|up|look|orient\w*|rot\w*")
+_SPHERICAL = re.compile(r"azi\w*|el|elev\w*|colat\w*|polar|theta|phi|radius|dist\w*|r")
+_NEEDED = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
+_COMMAS = "decimal commas need semicolons between columns"
+Position = tuple[float, float, float]
 
 
-def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Return positions in m by name from a table: name, x, y, z, with or without a heading.
+class _Columns(NamedTuple):
+    """Which columns of a table of positions are what."""
 
-    Separated by commas, or by tabs or semicolons with decimal commas; or an Excel workbook. A
-    heading may state the unit, as in ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, metres.
+    name: int
+    at: list[int]  # of x, y, z
+    units: list[str]  # of each, "" where unsaid
+    heading: list[str]
+
+
+def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]]:
+    """Return positions in m by name, from columns of a name and x, y, z, and what was left out.
+
+    A heading puts columns into any order among others, and may state the unit, as in
+    ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, metres. Without a heading a row is a name and
+    three numbers. Between columns stands anything; or it is an Excel workbook.
     """
-    delimiter, rows = table_rows(path, "table of positions")
-    found: dict[str, tuple[float, float, float]] = {}
-    factor = 1.0
-    needed = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
-    for place, (number, cells) in enumerate(rows):
-        where = f"{path}, line {number}"
-        # 1,20,1,50,1,10 is x = 1.2, y = 1.5, z = 1.1, and not x = 1, y = 20, z = 1
-        are_whole = delimiter == "," and all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
-        is_split = are_whole and len(cells) == 7
-        with suppress(InputError, ValueError):  # no number, or not three cells
-            x, y, z = (number_in(c.replace(",", "."), where, needed) for c in (*cells, "")[1:4])
-            if cells[0] not in found and not is_split:
-                found[cells[0]] = (round(factor * x, 6), round(factor * y, 6), round(factor * z, 6))
-                continue
-        if found or place or is_split:
-            raise InputError(
-                "a line of the table of positions is not understood",
-                where=where,
-                found=repr(delimiter.join(cells)),
-                needed=needed,
-                hint="decimal commas need semicolons between columns" if is_split else "correct it",
+    sheet = read_sheet(path, "table of positions")
+    found: dict[str, Position] = {}
+    columns: _Columns | None = None
+    unit, without, above = "", list[str](), Row("", [])
+    for row in sheet.rows:
+        cells = row.cells
+        if own := _position_columns(row, sheet):
+            columns, unit = own, next(filter(None, own.units), unit)
+        elif row.is_remark or are_units(cells):
+            unit = _unit_in(" ".join(cells)) or unit
+            if columns and not row.is_remark:
+                units = [_unit_in(c) for c in (*cells, *columns.heading)]
+                columns = columns._replace(units=[units[i] for i in columns.at])
+        elif not found and not columns and _n_numbers(sheet, cells[1:]) < 2:
+            unit, above = _unit_in(" ".join(cells)) or unit, row
+        else:
+            _refuse_heading(above if not columns else Row("", []))
+            name, coordinates = _name_and_coordinates(row, columns, sheet)
+            x, y, z = (
+                _metres(c, (columns.units[i] if columns else "") or unit or "m", row, sheet)
+                for i, c in enumerate(coordinates)
             )
-        words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
-        units = [UNIT_WORDS[w] for w in words if w in UNIT_WORDS]
-        # "x in cm" is centimetres
-        unit = next((u for u in units if u != "in"), units[0] if units else "m")
-        factor = METRES_PER_UNIT[unit]
+            if name in found or not name:
+                raise _not_understood(row, "give each row a name of its own")
+            if are_summaries([name])[0] or all(map(math.isnan, (x, y, z))):
+                without.append(name)
+            elif math.isnan(x + y + z):
+                raise _not_understood(row, "write all three, or leave the row out")
+            else:
+                found[name] = (x, y, z)
     if not found:
         what, hint = "the table of positions is empty", "write one for each source and receiver"
-        raise InputError(what, where=str(path), found="no line", needed=needed, hint=hint)
-    return found
+        raise InputError(what, where=str(path), found="no line", needed=_NEEDED, hint=hint)
+    used = (columns.name, *columns.at) if columns else ()
+    others = [c for i, c in enumerate(columns.heading) if c and i not in used] if columns else []
+    return found, left_out(path, "positions", {"rows": without, "columns": others})
 
 
-def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
-    """Return decay times in s, shape (n_positions, n_bands), and their bands.
+def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
+    """Return the columns of names and of x, y, z where a row is a heading of positions."""
+    groups: dict[tuple[str, ...], dict[str, int]] = {}
+    spherical = set()
+    for i, cell in enumerate(row.cells):
+        label = re.sub(r"[\[(].*?[\])]", " ", cell.lower())
+        words = [w for w in re.findall(r"[^\W\d_]+", label) if w not in UNIT_WORDS]
+        words = [
+            m[2] if (m := _AXIS.fullmatch(w)) else w for w in words if not _BESIDE_AXES.fullmatch(w)
+        ]
+        axes = [w for w in words if w in "xyz"]
+        if len(axes) == 1:
+            rest = tuple(w for w in words if w not in axes)
+            groups.setdefault(rest, {}).setdefault(axes[0], i)
+        elif words and _SPHERICAL.fullmatch(words[0]):
+            spherical.add(cell)
+    whole = {
+        k: at for k, at in groups.items() if len(at) == 3 and not any(map(_TURNED.fullmatch, k))
+    }
+    if () in whole:
+        whole = {(): whole[()]}
+    if len(whole) > 1 or (not whole and len(spherical) > 1):
+        what = "spherical coordinates" if not whole else "several coordinates in a row"
+        raise InputError(
+            f"a table of positions with {what}",
+            where=row.where,
+            found=", ".join(row.cells)[:120],
+            needed="columns name, x, y, z, in the axes of the room",
+            hint="convert them, and add where their origin lies in the room"
+            if not whole
+            else "name the columns of the position x, y, z alone, in a row for each",
+        )
+    if not whole:
+        return None
+    ((_, by_axis),) = whole.items()
+    at = [by_axis[axis] for axis in "xyz"]
+    return _Columns(
+        _name_column(row, at, sheet), at, [_unit_in(row.cells[i]) for i in at], row.cells
+    )
 
-    The first line has nominal centres in Hz from the second column on, every further one a name
-    and a time for each band; empty cells are unknown. Commas, or tabs or semicolons with decimal
-    commas; or an Excel workbook.
+
+def _name_column(row: Row, at: Sequence[int], sheet: Sheet) -> int:
+    """Return the column of names: by its heading, else the first of words or of whole numbers."""
+    others = [i for i in range(len(row.cells)) if i not in at]
+    for pattern in _NAMES:
+        for i in others:
+            if re.fullmatch(pattern, row.cells[i].lower()):
+                return i
+    below = [r.cells for r in sheet.rows[sheet.rows.index(row) + 1 :] if not r.is_remark]
+    for i in others:
+        own = [cells[i] for cells in below if i < len(cells) and cells[i]]
+        if own and not any(sheet.number(c) and not (i == 0 and c.isdecimal()) for c in own):
+            return i
+    raise InputError(
+        "a table of positions without names",
+        where=row.where,
+        found=", ".join(row.cells)[:120],
+        needed="a column of names beside x, y, z, as the recordings have them",
+        hint="add a column: name,x,y,z",
+    )
+
+
+def _unit_in(label: str) -> str:
+    """Return the unit of length that a label names, "" for none: of "x in cm" centimetres."""
+    units = [UNIT_WORDS[w] for w in re.split(r"[^a-z]+", label.lower()) if w in UNIT_WORDS]
+    return next((u for u in units if u != "in"), units[0] if units else "")
+
+
+def _n_numbers(sheet: Sheet, cells: Sequence[str]) -> int:
+    return sum(bool(c) and sheet.number(c) is not None for c in cells)
+
+
+def _refuse_heading(row: Row) -> None:
+    """Refuse a heading of columns none of which is called x, y or z: they may be anything."""
+    if sum(map(bool, row.cells)) > 3:
+        raise InputError(
+            "a table of positions whose heading names no x, y, z",
+            where=row.where,
+            found=", ".join(row.cells)[:120],
+            needed="columns name, x, y, z, in any order and among others",
+            hint="rename those of the position x, y and z, or leave the heading out",
+        )
+
+
+def _name_and_coordinates(
+    row: Row, columns: _Columns | None, sheet: Sheet
+) -> tuple[str, list[str]]:
+    """Return the name and the three cells of a position."""
+    if columns is not None:
+        n = len(columns.heading)
+        if any(row.cells[n:]):
+            raise _not_understood(row, _COMMAS)
+        cells = row.cells + [""] * (n - len(row.cells))
+        return cells[columns.name], [cells[i] for i in columns.at]
+    own = [c for c in row.cells[1:] if c and sheet.number(c)]
+    if len(own) == 3:
+        return row.cells[0], own
+    are_whole = sheet.separator == "," and len(own) == 6 and all(c.isdecimal() for c in own)
+    names = "name the columns in a line above: name,x,y,z, and others as they are"
+    raise _not_understood(row, _COMMAS if are_whole else names if len(own) > 3 else "correct it")
+
+
+def _metres(cell: str, unit: str, row: Row, sheet: Sheet) -> float:
+    """Return a coordinate in m, NaN for none; its cell may state another unit than its column."""
+    known = sheet.number(cell)
+    if known is None or known[1] not in ("", *UNIT_WORDS):
+        raise _not_understood(row, "correct it")
+    unit = UNIT_WORDS.get(known[1], unit)
+    if unit == "mm" and not sheet.decimal and re.fullmatch(r"-?[1-9]\d{0,2}[.,]\d{3}", cell):
+        raise _not_understood(row, f"write {cell} without the mark if it is of thousands")
+    return round(METRES_PER_UNIT[unit] * known[0], 6)
+
+
+def _not_understood(row: Row, hint: str) -> InputError:
+    what = "a line of the table of positions is not understood"
+    found = repr(row.text or ", ".join(row.cells))
+    return InputError(what, where=row.where, found=found, needed=_NEEDED, hint=hint)
+
+
+def _counts(row: BandRow) -> bool:
+    """Whether a row is called N and holds whole numbers, as of measurements."""
+    cells = [cell for cell, _ in row.cells.values() if cell]
+    return row.names[-1].casefold() == "n" and all(cell.isdecimal() for cell in cells)
+
+
+def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]]:
+    """Return decay times in s, shape (n_positions, n_bands), their bands, and what was left out.
+
+    Columns are nominal centres in Hz, rows positions, or the other way round; or rows, columns and
+    titles name the quantity, as programs that measure write it: then T30 is taken, T20 where that
+    was not evaluated, else the next that there is. Empty cells, 0 and marks are unknown. Rows that
+    summarise others, or hold another quantity, are left out.
     """
-    centres_hz, rows = band_rows(path, "table of decay times", (), "s")
-    table = np.array([row.values for row in rows])
+    rows, others = band_rows(path, "table of decay times")
+    summaries = are_summaries([row.rest or row.names[0] for row in rows])
+    summaries = [s or _counts(row) for s, row in zip(summaries, rows, strict=True)]
+    own = [row for row, is_one in zip(rows, summaries, strict=True) if not is_one]
+    kinds = [q for q in TIMES if any(row.quantity == q and row.has_values for row in own)]
+    wanted = kinds[0] if kinds else ""
+    taken = [row for row in own if row.quantity == wanted]
+    filling = [row for row in own if row.quantity == "T20" and wanted == "T30"]
+    if not taken:
+        raise InputError(
+            "a table of decay times that holds none",
+            where=str(path),
+            found=in_short([f"{' '.join(row.names)} ({row.quantity})".strip() for row in rows]),
+            needed="rows or columns of T30 or T20 in s",
+            hint="export T30 of every position in its bands",
+        )
+    centres_hz = np.array(sorted({hz for row in (*taken, *filling) for hz in row.cells}))
+    times: dict[tuple[str, int], FloatArray] = {}
+    counts: Counter[tuple[str, str]] = Counter()
+    for row in (*taken, *filling):
+        position = (row.rest, counts[row.quantity, row.rest])
+        counts[row.quantity, row.rest] += 1
+        values = row.values(centres_hz)
+        values[values == 0.0] = np.nan  # what programs write where they evaluated nothing
+        before = times.get(position, values)
+        times[position] = np.where(np.isfinite(before), before, values)
+    table = np.array(list(times.values()))
     known = np.isfinite(table).any(axis=0)
     wrong = table[(table <= 0.0) | (table > 60.0)]
     if wrong.size or not known.any():
+        is_long = bool(wrong.size and wrong[0] > 0.0)
         raise InputError(
             "a decay time that no room has",
             where=str(path),
-            found=f"{wrong[0]:g} s" if wrong.size else "empty cells alone",
-            needed="above 0 and up to 60 s",
-            hint="give seconds, not ms",
+            found=f"{wrong[0]:g} s" if wrong.size else "nothing but empty cells and 0",
+            needed="above 0 and up to 60 s; empty, or 0, where nothing was evaluated",
+            hint="give seconds, or say [ms] in the heading" if is_long else "leave the cell empty",
         )
-    return table[:, known], bands_of(centres_hz[known])
+    left = [" ".join(row.names) or row.quantity for row in rows if row not in (*taken, *filling)]
+    findings = left_out(path, wanted or "decay times", {"rows": left, "columns": others})
+    return table[:, known], bands_of(centres_hz[known]), findings
 
 
 def read_parameters(
@@ -113,11 +316,11 @@ def read_parameters(
 ) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
     """Read measured room parameters.
 
-    The first line is ``source,receiver,parameter,125,250,...`` with nominal centres in Hz. Each
-    further line holds one parameter of one pair: T20, T30, EDT in s, C50, C80, G in dB, D50 in
-    percent, TS in ms; T20_sd and the like hold the standard deviation. Empty cells are unknown.
-    Lines that begin with # are left out. Semicolons or tabs may stand for commas, and decimals then
-    have commas; or it is an Excel workbook.
+    A line ``source,receiver,parameter,125,250,...`` with nominal centres in Hz, in any order and
+    among others. Each line below it holds one parameter of one pair: T20, T30, EDT in s, C50, C80,
+    G in dB, D50 in percent, TS in ms; T20_sd and the like hold the standard deviation. Empty cells
+    are unknown. Lines that begin with # are left out. Semicolons or tabs may stand for commas, and
+    decimals then have commas; or it is an Excel workbook.
 
     Parameters
     ----------
@@ -131,7 +334,8 @@ def read_parameters(
         One a pair, in the order in which the pairs first occur. A pair whose lines occur more than
         once is joined, see `roomfit.signals.iso3382.joined_values`.
     findings : tuple of Finding
-        `Code.ROOM_PARAMETERS_INCONSISTENT`, `Code.REPEATED_VALUES_DIFFER`.
+        `Code.ROOM_PARAMETERS_INCONSISTENT`, `Code.REPEATED_VALUES_DIFFER`,
+        `Code.TABLE_PARTLY_READ`.
 
     Raises
     ------
@@ -149,12 +353,16 @@ def read_parameters(
     >>> values.source, values.values["T30_s"]
     ('S', array([0.9, 0.8]))
     """
-    path, head = Path(path), ("source", "receiver", "parameter")
+    path = Path(path)
     by_pair: dict[tuple[str, str], list[BandRow]] = {}
     with located(hint="correct the table there"):
-        centres_hz, rows = band_rows(path, "table of room parameters", head)
-    for row in rows:
-        by_pair.setdefault((row.names[0], row.names[1]), []).append(row)
+        rows, others = band_rows(path, "table of room parameters", _PAIR)
+    summaries = [any(are_summaries([*row.names[:2]])) for row in rows]
+    is_other = [s or row.quantity in OTHERS for s, row in zip(summaries, rows, strict=True)]
+    left = [" ".join(row.names) for row, is_one in zip(rows, is_other, strict=True) if is_one]
+    for row, is_one in zip(rows, is_other, strict=True):
+        if not is_one:
+            by_pair.setdefault((row.names[0], row.names[1]), []).append(row)
     chosen = [p for p in by_pair if source in (None, p[0]) and receiver in (None, p[1])]
     if not chosen or not all(map(all, by_pair)):
         raise InputError(
@@ -167,7 +375,8 @@ def read_parameters(
             hint="write source and receiver as the campaign has them: S,R,T30,0.9,...",
         )
     found: list[MeasuredValues] = []
-    findings: list[Finding] = []
+    findings = [*left_out(path, "room parameters", {"rows": left, "columns": others})]
+    centres_hz = np.array(sorted({hz for row in rows for hz in row.cells}))
     for pair in chosen:
         repeated = _repeated(pair, by_pair[pair], centres_hz)
         with located(f"{path}, {pair[0]} to {pair[1]}"):
@@ -185,11 +394,17 @@ def _repeated(
     tables: list[tuple[dict[ValueName, FloatArray], dict[ValueName, FloatArray]]] = []
     for row in rows:
         parameter = row.names[2].upper()
-        bare = parameter.removesuffix("_SD")
+        plain = parameter.removesuffix("_SD")
+        bare = quantity_in(plain)[0] or plain
         hint = "leave the line out, or begin it with #"
         check_known("unknown room parameter", bare, _PARAMETERS, where=row.where, else_try=hint)
-        name, is_spread = _PARAMETERS[bare], bare != parameter
-        for value, place in zip(row.values.tolist(), row.labels, strict=True):
+        name, is_spread = _PARAMETERS[bare], plain != parameter
+        values = row.values(centres_hz)
+        if name == "TS_ms" and (row.is_in_ms or re.search(r"[\\[(]S[\\])]", parameter)):
+            values *= 1000.0
+        elif name in _NEVER_ZERO:  # what programs write where they evaluated nothing
+            values[values == 0.0] = np.nan
+        for value, (_, place) in zip(values.tolist(), row.placed(centres_hz), strict=True):
             if not np.isnan(value) and not is_spread:
                 check_possible(name, value, place)
             elif value < 0.0:
@@ -201,5 +416,5 @@ def _repeated(
         counts[name, is_spread] += 1
         if number == len(tables):
             tables.append(({}, {}))
-        tables[number][is_spread][name] = row.values
+        tables[number][is_spread][name] = values
     return tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables)

@@ -14,6 +14,7 @@ import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
 from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior, are_specified, prior_logit_law
@@ -57,6 +58,7 @@ class DiffuseAbsorption:
     absorption: FloatArray  # (n_formulas, n_materials, 3, n_bands), the same of each material
     # (n_formulas, n_bands, n_materials, n_materials), of their logits between their bounds
     covariance: FloatArray
+    findings: tuple[Finding, ...] = ()
 
 
 def absorption_area_m2(
@@ -270,6 +272,7 @@ class DiffuseField:
     attenuation_per_m: FloatArray  # (n_bands,), of energy by the air and by known objects
     # (n_positions, n_bands), measured reverberation times in s, NaN where unknown; None: none
     decay_s: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()  # of what was measured
 
     def times_s(self, absorption: FloatArray, scattering: FloatArray | None = None) -> FloatArray:
         """Return reverberation times of the walls and the air, shape (..., n_bands).

@@ -355,11 +355,11 @@ def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
     """Return the mean by Eyring, decay times, and mean and materials by each formula."""
     centres = found.bands.centres_hz
     measured = zip(found.decay_s.tolist(), found.decay_sd_s.tolist(), strict=True)
-    times = [Cell(number(t, 2), (f"± {number(sd, 2)}",)) for t, sd in measured]
+    times = [f"{number(t, 2)} +- {number(sd, 2)}" for t, sd in measured]
     tables = list(
         band_tables(
-            "Decay time in s, with its standard deviation", "", centres,
-            [("mean over positions", *times)],
+            "Mean over positions, with its standard deviation", "", centres,
+            [("decay time, s", *times)],
         )
     )  # fmt: skip
     for formula, mean, absorption in zip(FORMULAS, found.mean, found.absorption, strict=True):
@@ -375,7 +375,8 @@ def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
         f"({low} to {high})."
     )
     head = (Sentence(lead, "lead"), Sentence(_DIFFUSE))
-    return Blocks("Mean absorption from decay times", head, tuple(tables))
+    doubts = (Findings(found.findings),) if found.findings else ()
+    return Blocks("Mean absorption from decay times", head, (*doubts, *tables))
 
 
 def diffuse_records(found: DiffuseAbsorption) -> Table:
