@@ -17,7 +17,6 @@ from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
 from roomfit.files.tables import (
-    OTHERS,
     TIMES,
     BandRow,
     Row,
@@ -25,9 +24,11 @@ from roomfit.files.tables import (
     are_summaries,
     are_units,
     band_rows,
+    is_word,
     left_out,
     quantity_in,
     read_sheet,
+    words_of,
 )
 from roomfit.formats.model import METRES_PER_UNIT
 from roomfit.signals.iso3382 import (
@@ -60,22 +61,7 @@ _PARAMETERS: dict[str, ValueName] = {
     "G": "G_dB",
 }
 _NEVER_ZERO = ("T20_s", "T30_s", "EDT_s", "TS_ms")
-_PAIR = (
-    "source|src|sender|quelle|lautsprecher|loudspeaker",
-    "receiver|rec|mic|microphone|mikrofon|empfänger|position",
-    "parameter|param|quantity|größe|kenngröße|kennwert",
-)
-# Columns of names, what says it first before what may number them; words beside x, y, z, and words
-# of directions that x, y, z may be as well.
-_NAMES = (
-    r"(names?|label|bezeichnung|nom|nombre|nome|naam|navn|namn|code)\b.*",
-    r"(.*[\W_])?(id|nr|no|number|nummer|point|position|pos|punkt|station|place|platz|seat|receiver|"
-    r"source|mic|microphone|mikrofon|quelle|empfänger|sender|loudspeaker|channel)[\W_]*(id|nr|no|name)?\W*",
-)
-_AXIS = re.compile(r"(pos|coord|koord)?([xyz])(pos|coord|koord)?")
-_BESIDE_AXES = re.compile(r"pos|position|koord\w*|coord\w*|location|axis|achse")
-_TURNED = re.compile(r"q|quat\w*|n|normal|dir\w*|view|up|look|orient\w*|rot\w*")
-_SPHERICAL = re.compile(r"azi\w*|el|elev\w*|colat\w*|polar|theta|phi|radius|dist\w*|r")
+_PAIR = ("source", "receiver", "parameter")
 _NEEDED = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
 _COMMAS = "decimal commas need semicolons between columns"
 Position = tuple[float, float, float]
@@ -105,15 +91,17 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
         cells = row.cells
         if own := _position_columns(row, sheet):
             columns, unit = own, next(filter(None, own.units), unit)
-        elif row.is_remark or are_units(cells):
+        elif row.is_remark or are_units(row):
             unit = _unit_in(" ".join(cells)) or unit
             if columns and not row.is_remark:
                 units = [_unit_in(c) for c in (*cells, *columns.heading)]
                 columns = columns._replace(units=[units[i] for i in columns.at])
-        elif not found and not columns and _n_numbers(sheet, cells[1:]) < 2:
+        elif not found and not columns and len(sheet.numbers(cells[1:])) < 2:
             unit, above = _unit_in(" ".join(cells)) or unit, row
         else:
-            _refuse_heading(above if not columns else Row("", []))
+            if not columns and sum(map(bool, above.cells)) > 3:
+                hint = "rename those of the position, or leave the heading out"
+                raise _refused(above, "whose heading names no x, y, z", hint)
             name, coordinates = _name_and_coordinates(row, columns, sheet)
             x, y, z = (
                 _metres(c, (columns.units[i] if columns else "") or unit or "m", row, sheet)
@@ -143,30 +131,28 @@ def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
         label = re.sub(r"[\[(].*?[\])]", " ", cell.lower())
         words = [w for w in re.findall(r"[^\W\d_]+", label) if w not in UNIT_WORDS]
         words = [
-            m[2] if (m := _AXIS.fullmatch(w)) else w for w in words if not _BESIDE_AXES.fullmatch(w)
+            m[1] if (m := words_of("axis").fullmatch(w)) else w
+            for w in words
+            if not is_word("position", w)
         ]
         axes = [w for w in words if w in "xyz"]
         if len(axes) == 1:
             rest = tuple(w for w in words if w not in axes)
             groups.setdefault(rest, {}).setdefault(axes[0], i)
-        elif words and _SPHERICAL.fullmatch(words[0]):
+        elif words and is_word("spherical", words[0]):
             spherical.add(cell)
     whole = {
-        k: at for k, at in groups.items() if len(at) == 3 and not any(map(_TURNED.fullmatch, k))
+        k: at
+        for k, at in groups.items()
+        if len(at) == 3 and not any(is_word("direction", w) for w in k)
     }
     if () in whole:
         whole = {(): whole[()]}
-    if len(whole) > 1 or (not whole and len(spherical) > 1):
-        what = "spherical coordinates" if not whole else "several coordinates in a row"
-        raise InputError(
-            f"a table of positions with {what}",
-            where=row.where,
-            found=", ".join(row.cells)[:120],
-            needed="columns name, x, y, z, in the axes of the room",
-            hint="convert them, and add where their origin lies in the room"
-            if not whole
-            else "name the columns of the position x, y, z alone, in a row for each",
-        )
+    if len(whole) > 1:
+        raise _refused(row, "with several in a row", "write a row for each, its columns x, y, z")
+    if not whole and len(spherical) > 1:
+        hint = "convert them, and add where their origin lies in the room"
+        raise _refused(row, "in spherical coordinates", hint)
     if not whole:
         return None
     ((_, by_axis),) = whole.items()
@@ -179,22 +165,16 @@ def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
 def _name_column(row: Row, at: Sequence[int], sheet: Sheet) -> int:
     """Return the column of names: by its heading, else the first of words or of whole numbers."""
     others = [i for i in range(len(row.cells)) if i not in at]
-    for pattern in _NAMES:
+    for kind in ("name", "number"):
         for i in others:
-            if re.fullmatch(pattern, row.cells[i].lower()):
+            if is_word(kind, row.cells[i].lower()):
                 return i
     below = [r.cells for r in sheet.rows[sheet.rows.index(row) + 1 :] if not r.is_remark]
     for i in others:
         own = [cells[i] for cells in below if i < len(cells) and cells[i]]
-        if own and not any(sheet.number(c) and not (i == 0 and c.isdecimal()) for c in own):
+        if own and not [c for c in sheet.numbers(own) if i or not c.isdecimal()]:
             return i
-    raise InputError(
-        "a table of positions without names",
-        where=row.where,
-        found=", ".join(row.cells)[:120],
-        needed="a column of names beside x, y, z, as the recordings have them",
-        hint="add a column: name,x,y,z",
-    )
+    raise _refused(row, "without names", "add a column of names: name,x,y,z")
 
 
 def _unit_in(label: str) -> str:
@@ -203,20 +183,11 @@ def _unit_in(label: str) -> str:
     return next((u for u in units if u != "in"), units[0] if units else "")
 
 
-def _n_numbers(sheet: Sheet, cells: Sequence[str]) -> int:
-    return sum(bool(c) and sheet.number(c) is not None for c in cells)
-
-
-def _refuse_heading(row: Row) -> None:
-    """Refuse a heading of columns none of which is called x, y or z: they may be anything."""
-    if sum(map(bool, row.cells)) > 3:
-        raise InputError(
-            "a table of positions whose heading names no x, y, z",
-            where=row.where,
-            found=", ".join(row.cells)[:120],
-            needed="columns name, x, y, z, in any order and among others",
-            hint="rename those of the position x, y and z, or leave the heading out",
-        )
+def _refused(row: Row, what: str, hint: str) -> InputError:
+    """Return the refusal of a heading of positions."""
+    found, needed = ", ".join(row.cells)[:120], "columns name, x, y, z in the axes of the room"
+    what = f"a table of positions {what}"
+    return InputError(what, where=row.where, found=found, needed=needed, hint=hint)
 
 
 def _name_and_coordinates(
@@ -229,7 +200,7 @@ def _name_and_coordinates(
             raise _not_understood(row, _COMMAS)
         cells = row.cells + [""] * (n - len(row.cells))
         return cells[columns.name], [cells[i] for i in columns.at]
-    own = [c for c in row.cells[1:] if c and sheet.number(c)]
+    own = sheet.numbers(row.cells[1:])
     if len(own) == 3:
         return row.cells[0], own
     are_whole = sheet.separator == "," and len(own) == 6 and all(c.isdecimal() for c in own)
@@ -269,13 +240,12 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
     summarise others, or hold another quantity, are left out.
     """
     rows, others = band_rows(path, "table of decay times")
-    summaries = are_summaries([row.rest or row.names[0] for row in rows])
-    summaries = [s or _counts(row) for s, row in zip(summaries, rows, strict=True)]
-    own = [row for row, is_one in zip(rows, summaries, strict=True) if not is_one]
-    kinds = [q for q in TIMES if any(row.quantity == q and row.has_values for row in own)]
-    wanted = kinds[0] if kinds else ""
+    are_left = are_summaries([row.rest or row.names[0] for row in rows])
+    own = [r for r, is_one in zip(rows, are_left, strict=True) if not (is_one or _counts(r))]
+    known = [r.quantity for r in own if r.quantity in TIMES and np.nansum(r.values(r.cells))]
+    wanted = next((quantity for quantity in TIMES if quantity in known), "")
     taken = [row for row in own if row.quantity == wanted]
-    filling = [row for row in own if row.quantity == "T20" and wanted == "T30"]
+    taken += [row for row in own if row.quantity == "T20" and wanted == "T30"]
     if not taken:
         raise InputError(
             "a table of decay times that holds none",
@@ -284,10 +254,10 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
             needed="rows or columns of T30 or T20 in s",
             hint="export T30 of every position in its bands",
         )
-    centres_hz = np.array(sorted({hz for row in (*taken, *filling) for hz in row.cells}))
+    centres_hz = np.array(sorted({hz for row in taken for hz in row.cells}))
     times: dict[tuple[str, int], FloatArray] = {}
     counts: Counter[tuple[str, str]] = Counter()
-    for row in (*taken, *filling):
+    for row in taken:
         position = (row.rest, counts[row.quantity, row.rest])
         counts[row.quantity, row.rest] += 1
         values = row.values(centres_hz)
@@ -295,9 +265,9 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
         before = times.get(position, values)
         times[position] = np.where(np.isfinite(before), before, values)
     table = np.array(list(times.values()))
-    known = np.isfinite(table).any(axis=0)
+    has_some = np.isfinite(table).any(axis=0)
     wrong = table[(table <= 0.0) | (table > 60.0)]
-    if wrong.size or not known.any():
+    if wrong.size or not has_some.any():
         is_long = bool(wrong.size and wrong[0] > 0.0)
         raise InputError(
             "a decay time that no room has",
@@ -306,9 +276,9 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
             needed="above 0 and up to 60 s; empty, or 0, where nothing was evaluated",
             hint="give seconds, or say [ms] in the heading" if is_long else "leave the cell empty",
         )
-    left = [" ".join(row.names) or row.quantity for row in rows if row not in (*taken, *filling)]
+    left = [" ".join(row.names) or row.quantity for row in rows if row not in taken]
     findings = left_out(path, wanted or "decay times", {"rows": left, "columns": others})
-    return table[:, known], bands_of(centres_hz[known]), findings
+    return table[:, has_some], bands_of(centres_hz[has_some]), findings
 
 
 def read_parameters(
@@ -358,7 +328,9 @@ def read_parameters(
     with located(hint="correct the table there"):
         rows, others = band_rows(path, "table of room parameters", _PAIR)
     summaries = [any(are_summaries([*row.names[:2]])) for row in rows]
-    is_other = [s or row.quantity in OTHERS for s, row in zip(summaries, rows, strict=True)]
+    is_other = [
+        s or row.quantity in ("other", "label") for s, row in zip(summaries, rows, strict=True)
+    ]
     left = [" ".join(row.names) for row, is_one in zip(rows, is_other, strict=True) if is_one]
     for row, is_one in zip(rows, is_other, strict=True):
         if not is_one:
@@ -400,11 +372,12 @@ def _repeated(
         check_known("unknown room parameter", bare, _PARAMETERS, where=row.where, else_try=hint)
         name, is_spread = _PARAMETERS[bare], plain != parameter
         values = row.values(centres_hz)
-        if name == "TS_ms" and (row.is_in_ms or re.search(r"[\\[(]S[\\])]", parameter)):
+        if name == "TS_ms" and (row.is_in_ms or re.search(r"[\[(]S[\])]", parameter)):
             values *= 1000.0
         elif name in _NEVER_ZERO:  # what programs write where they evaluated nothing
             values[values == 0.0] = np.nan
-        for value, (_, place) in zip(values.tolist(), row.placed(centres_hz), strict=True):
+        for hz, value in zip(centres_hz.tolist(), values.tolist(), strict=True):
+            place = row.cells.get(hz, ("", row.where))[1]
             if not np.isnan(value) and not is_spread:
                 check_possible(name, value, place)
             elif value < 0.0:
