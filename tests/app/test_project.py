@@ -274,29 +274,29 @@ def test_a_template_stands_in_the_campaign_and_its_rows_are_there_without_typing
     box: Path,
 ) -> None:
     """Also while no position is known, and when it is taken back."""
-    send(box, "S_1-R_1.wav", "S_1-R_2.wav")
+    send(box, "A_1-B_1.wav", "A_1-B_2.wav")
     name_sent(box)
-    assert shown(box)[1] == {"S_1-R_1.wav": ("S", "1-R_1"), "S_1-R_2.wav": ("S", "1-R_2")}
-    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+    assert shown(box)[1] == {"A_1-B_1.wav": ("A", "1-B_1"), "A_1-B_2.wav": ("A", "1-B_2")}
+    for kind, name in (("sources", "A"), ("receivers", "1-B_1"), ("receivers", "1-B_2")):
         project.set_position(box, kind, name, (1.0, 1.0, 1.0))
     project.set_template(box, TEMPLATE, {})
-    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+    for kind, name in (("sources", "A"), ("receivers", "1-B_1"), ("receivers", "1-B_2")):
         assert shown(box)[0][name] == [1.0, 1.0, 1.0]  # what was typed is not thrown away
         project.set_position(box, kind, name, None)
-    expected = {"S_1-R_1.wav": ("S_1", "R_1"), "S_1-R_2.wav": ("S_1", "R_2")}
-    places = dict.fromkeys(("S_1", "R_1", "R_2"))
+    expected = {"A_1-B_1.wav": ("A_1", "B_1"), "A_1-B_2.wav": ("A_1", "B_2")}
+    places = dict.fromkeys(("A_1", "B_1", "B_2"))
     assert shown(box) == (places, expected)
     assert views.recordings_view(box)["template"] == TEMPLATE
     assert "measurements" not in project.campaign_content(box)
     project.set_template(box, "", {})
-    assert shown(box)[1]["S_1-R_1.wav"] == ("S", "1-R_1")
+    assert shown(box)[1]["A_1-B_1.wav"] == ("A", "1-B_1")
 
 
 def test_names_with_other_separators_are_split_by_a_table_of_positions(box: Path) -> None:
     """Whichever comes first; what was measured here or written by hand is left as it is."""
     send(box, "2024 LS1 - MP1 take2.wav", "ls1-mp2.wav", "sweep.wav")
     name_sent(box)
-    assert shown(box)[1]["ls1-mp2.wav"] == ("S1", "ls1-mp2")  # as init does without a table
+    assert shown(box)[1]["ls1-mp2.wav"] == ("ls1", "mp2")  # as init does without a table
     project.name_measured(box, "X", "Y")
     send(box, "X_Y.wav")
     (box / "positions").mkdir()

@@ -20,7 +20,7 @@ from roomfit.base.arguments import check_known, did_you_mean, in_short, unique_n
 from roomfit.base.door import read_bytes, same_file
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
-from roomfit.files.file_names import files_of_shape, shape_of
+from roomfit.files.file_names import FILL_IN, files_of_shape, shape_of
 from roomfit.files.schema import (
     BECAUSE,
     GONE,
@@ -66,9 +66,6 @@ def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
             hint="a key may stand only once, text needs quotes, tables begin with [name]",
             needed="TOML: tables, and key = value, one a line",
         ) from error
-
-
-FILL_IN = "FILL IN"  # what `roomfit init` leaves to be filled in
 
 
 def blanks(content: object, key: str = "") -> list[str]:

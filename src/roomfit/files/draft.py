@@ -289,7 +289,8 @@ def _beside(folder: Path, file: Path) -> str:
 
 def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[str]:
     lines = [""]
-    for name in dict.fromkeys(names or ("S1" if kind == "sources" else "R1",)):
+    known = [name for name in names if name != FILL_IN]
+    for name in dict.fromkeys(known or ("S1" if kind == "sources" else "R1",)):
         place = f'"{FILL_IN}"  # [x, y, z] in m, z up'
         if name in positions:
             place = f"[{', '.join(f'{x:g}' for x in positions[name])}]"

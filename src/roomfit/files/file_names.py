@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError, located
 from roomfit.files.responses import RESPONSE_SUFFIXES
+from roomfit.files.tables import is_word, words_of
 
+FILL_IN = "FILL IN"
+"""What `roomfit init` leaves to be filled in."""
 _MOST_NAMES = 2 / 3
 
 
@@ -32,14 +35,16 @@ def shape_of(
             hint="name what differs between the files of two pairs",
         )
     shape = re.escape(Path(template).as_posix()).replace(r"\*", "[^/]*")
-    any_name = "|".join(re.escape(n) for n in sorted(one_of, key=len, reverse=True)) or "[^/]+?"
+    # side by side, a name ends with its number
+    unknown = r"[^/\d]*\d+" if "}{" in template else "[^/]+?"
+    any_name = "|".join(re.escape(n) for n in sorted(one_of, key=len, reverse=True)) or unknown
     for key in keys:
         first, again = f"(?P<{key}>{any_name})", f"(?P={key})"
         if known is not None:
             first = again = re.escape(known[key])
         place = rf"\{{{key}\}}"
         shape = shape.replace(place, first, 1).replace(place, again)
-    return re.compile(shape, re.IGNORECASE if any_name != "[^/]+?" else 0)
+    return re.compile(shape, re.IGNORECASE if any_name != unknown else 0)
 
 
 def files_of_shape(folder: Path, template: str) -> list[str]:
@@ -58,20 +63,26 @@ def matching_files(
     """Return source and receiver by the name of each recording, relative to a folder.
 
     The template is as ``"responses/{source}_{receiver}.wav"``; * stands for any text. Without, of
-    `recordings_in` the folder those whose names hold two of the known ones, the source first; where
-    none does, those of that shape, if most have it, else all of one source. The case of letters of
-    known names does not matter. A name that may be split at several places is split where both
-    parts are known.
+    `recordings_in` the folder those whose names hold two of the known ones, the source first unless
+    words say otherwise; where none does, those that name a source and a receiver by such words and
+    numbers, or have that shape, if most do; else all of one source, a blank where it is in doubt.
+    The case of letters of known names, and zeros before numbers, do not matter. A name that may be
+    split at several places is split where both parts are known.
     """
     if template is None:
         stems = {name: Path(name).stem for name in recordings_in(folder)}
         pairs = {name: _known_in(stem, known) for name, stem in stems.items()}
-        if found := {name: (pair[0], pair[1]) for name, pair in pairs.items() if len(pair) == 2}:
+        if found := {name: _in_order(pair) for name, pair in pairs.items() if len(pair) == 2}:
             return found
-        split = {name: stem.partition("_") for name, stem in stems.items()}
-        found = {name: (a, b) for name, (a, mark, b) in split.items() if a and mark and b}
-        mostly = len(found) >= _MOST_NAMES * len(stems)
-        return found if mostly else {name: ("S1", stem) for name, stem in stems.items()}
+        for split in (_by_words, _at_underscore):
+            pairs_by_shape = {name: split(stem) for name, stem in stems.items()}
+            found = {name: (p[0], p[1]) for name, p in pairs_by_shape.items() if len(p) == 2}
+            if found and len(found) >= _MOST_NAMES * len(stems):
+                return found
+        left = {*known} - {name for pair in pairs.values() for name in pair} or {"S1"}
+        named = any(words_of("source_in").search(stem) for stem in stems.values())
+        source = FILL_IN if named or len(left) > 1 else left.pop()
+        return {name: (source, (pairs[name] or [stem])[0]) for name, stem in stems.items()}
     with located("--recordings"):
         names, spelled = files_of_shape(folder, template), {n.casefold(): n for n in known}
         shapes = [shape_of(template, one_of=spelled.values())] if spelled else []
@@ -94,17 +105,43 @@ def matching_files(
 
 
 def _known_in(stem: str, known: Iterable[str]) -> list[str]:
-    """Return the known names that a file's name holds as whole words, in their order in it."""
-    # some file systems take letters and their dots apart
+    """Return the known names that a file's name holds, in their order in it.
+
+    As whole words, or two side by side; signs within them and zeros before numbers do not matter.
+    """
+    names = sorted(known, key=len, reverse=True)
+    ways = []
+    for name in names:
+        # some file systems take letters and their dots apart
+        runs = re.findall(r"\d+|[^\W\d_]+", unicodedata.normalize("NFC", name))
+        own = [f"0*{run.lstrip('0') or '0'}" if run.isdigit() else re.escape(run) for run in runs]
+        ways.append(r"[\W_]*".join(own) or re.escape(name))
+    if not names:
+        return []
     text = unicodedata.normalize("NFC", stem)
-    starts = {}
-    for name in sorted(known, key=len, reverse=True):
-        word = re.escape(unicodedata.normalize("NFC", name))
-        match = re.search(rf"(?<![^\W_]){word}(?![^\W_])", text, re.IGNORECASE)
-        if match:
-            starts[match.start()] = name
-            text = text[: match.start()] + " " * len(match[0]) + text[match.end() :]
-    return [starts[at] for at in sorted(starts)]
+    first, second = (f"(?:{'|'.join(f'({way})' for way in ways)})" for _ in range(2))
+    run = re.compile(rf"(?<![^\W_]){first}{second}?(?![^\W_])", re.IGNORECASE)
+    hits = [i % len(names) for m in run.finditer(text) for i, g in enumerate(m.groups()) if g]
+    return list(dict.fromkeys(names[i] for i in hits))
+
+
+def _in_order(pair: Collection[str]) -> tuple[str, str]:
+    """Return source and receiver: the source first, unless words say that it stands last."""
+    first, last = pair
+    is_turned = is_word("receiver_name", first.lower()) and is_word("source_name", last.lower())
+    return (last, first) if is_turned else (first, last)
+
+
+def _by_words(stem: str) -> list[str]:
+    """Return source and receiver that words with numbers name, as in S1R12 or src 1 - mic 2."""
+    found = [words_of(kind).findall(stem) for kind in ("source_in", "receiver_in")]
+    return [own[0] for own in found if len(own) == 1]
+
+
+def _at_underscore(stem: str) -> list[str]:
+    """Return both parts of a name, nothing where the second is called as a source is."""
+    parts = [part for part in stem.partition("_")[::2] if part]
+    return [] if words_of("source_in").search("".join(parts[1:])) else parts
 
 
 def recordings_in(folder: Path) -> list[str]:
