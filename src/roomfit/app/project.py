@@ -362,7 +362,9 @@ def _renamed(folder: Path, positions: Positions, moved: Positions, before: str) 
     used = {row.get("file") for row in kept}
     named = [(*pair, file) for file, pair in found.items() if file not in used]
     new = [dict(zip(("source", "receiver", "file"), own, strict=True)) for own in named]
-    needed = {k: [r[w] for r in (*kept, *new) if r.get(w, FILL_IN) != FILL_IN] for k, w in _KINDS.items()}
+    needed = {
+        k: [r[w] for r in (*kept, *new) if r.get(w, FILL_IN) != FILL_IN] for k, w in _KINDS.items()
+    }
     # tables go, and with them blank points that nothing else needs
     gone: list[tuple[str | int, ...]] = [("measurements", i + 1) for i in loose]
     for kind, word in _KINDS.items():

@@ -16,7 +16,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.whole_files import check_place, make_folder, write_text_atomically
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import blanks
-from roomfit.files.draft import draft_campaign, likely_units
+from roomfit.files.draft import carried_in, draft_campaign, likely_units
 from roomfit.files.edits import sole_editor
 from roomfit.files.file_names import matching_files, recordings_in
 from roomfit.files.rooms import READERS
@@ -155,6 +155,7 @@ def draft_to_folder(
         read_decay_times(decay_times)
     known = {} if positions is None else read_positions(positions)[0]
     files = {} if decay_times is not None else matching_files(folder, recordings, known)
+    carried = carried_in(folder, files) if recordings is None else None
     text = draft_campaign(
         room,
         files,
@@ -163,6 +164,7 @@ def draft_to_folder(
         template=recordings,
         because=because,
         decay_times=decay_times,
+        carried=carried,
     )
     make_folder(folder)
     with sole_editor(file):

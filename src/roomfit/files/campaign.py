@@ -292,7 +292,13 @@ def _check_pairs(campaign: Campaign) -> None:
     for number, row in enumerate(campaign.rows, start=1):
         data, pair = row.path, (row.source, row.receiver, row.state)
         # a table of parameters holds many pairs, a file's channel one; unspecified, it is the first
-        part = (row.channel or 0, row.variable, row.measurement or 0, row.receiver_index or 0)
+        part = (
+            row.channel or 0,
+            row.variable,
+            row.measurement or 0,
+            row.receiver_index or 0,
+            row.emitter_index or 0,
+        )
         key = (same_file(campaign.path.parent / data), *part, *(() if row.file else pair))
         earlier, of = first.setdefault(key, (number, pair))
         if earlier != number:

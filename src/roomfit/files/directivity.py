@@ -12,7 +12,13 @@ from roomfit.base.bands import Bands
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.typing import FloatArray
-from roomfit.files.responses.sofa import Variables, read_sofa_variables, sofa_data, sofa_values
+from roomfit.files.responses.sofa import (
+    Variables,
+    read_sofa_variables,
+    sofa_data,
+    sofa_points,
+    sofa_values,
+)
 from roomfit.model.patterns import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 
 _LARGEST = 1e100  # far above any, far below where squares overflow
@@ -99,7 +105,7 @@ def _one_measurement(data: FloatArray) -> FloatArray:
 
 def _directions(sofa: Variables, n: int) -> FloatArray:
     """Return directions in the loudspeaker's own frame: x front, y left, z top."""
-    positions = _cartesian(sofa, "ReceiverPosition", n)
+    positions = sofa_points(sofa, "ReceiverPosition", n)
     if positions is None:
         raise InputError(
             "the SOFA file does not say where its receivers stood",
@@ -108,53 +114,12 @@ def _directions(sofa: Variables, n: int) -> FloatArray:
             hint="write ReceiverPosition, one row for each receiver",
         )
     # receivers are specified relative to the listener
-    source, listener = (_cartesian(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
+    source, listener = (sofa_points(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
     positions = positions + (0.0 if listener is None else listener)
     positions = positions - (0.0 if source is None else source)
-    view, top = (_cartesian(sofa, f"Source{way}", 1) for way in ("View", "Up"))
+    view, top = (sofa_points(sofa, f"Source{way}", 1) for way in ("View", "Up"))
     axes = loudspeaker_axes(
         np.array([1.0, 0.0, 0.0]) if view is None else view[0],
         np.array([0.0, 0.0, 1.0]) if top is None else top[0],
     )
     return np.asarray(positions @ axes.T)
-
-
-def _cartesian(sofa: Variables, name: str, n: int) -> FloatArray | None:
-    """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
-
-    Refused are coordinates of another type, or in other units than metres and degrees.
-    """
-    values = sofa_values(sofa, name)
-    if values is None or values.size != 3 * n:
-        return None
-    if values.ndim == 3:  # receiver, coordinate, measurement
-        values = np.moveaxis(values, 1, 2)
-    values = values.reshape(n, 3)
-    kind = sofa[name].attributes.get("Type")
-    view = sofa.get(name.replace("Up", "View"))
-    if kind is None and view is not None:  # an Up shares the type of the View
-        kind = view.attributes.get("Type")
-    if kind not in (None, "cartesian", "spherical"):
-        what, needed = "the SOFA file has coordinates of another type", "cartesian or spherical"
-        hint = "directions on a grid instead of coefficients of spherical harmonics"
-        raise InputError(what, where=name, found=f"Type {kind!r}", needed=needed, hint=hint)
-    spherical, units = kind == "spherical", sofa[name].attributes.get("Units")
-    # the length of a direction in Cartesian coordinates has no unit that matters
-    if units is not None and (spherical or name.endswith("Position")):
-        words = [word.rstrip("s") for word in str(units).lower().replace(",", " ").split()]
-        found = [_SPELLINGS.get(word, word) for word in words]
-        expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
-        if found != expected:
-            what = "the SOFA file has coordinates in other units"
-            needed = "degree, degree, metre" if spherical else "metre"
-            hint = f"convert them, and set the attribute Units of {name}"
-            raise InputError(what, where=name, found=repr(str(units)), needed=needed, hint=hint)
-    if not spherical:
-        return values
-    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
-    across, height = values[:, 2] * np.cos(elevation), values[:, 2] * np.sin(elevation)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
-
-
-# of the units that AES69 has
-_SPELLINGS = {"meter": "metre", "m": "metre", "deg": "degree"}

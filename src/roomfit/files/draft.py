@@ -11,17 +11,19 @@ import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
-from roomfit.base.errors import InputError
+from roomfit.base.errors import InputError, located
 from roomfit.base.polygon import area_vector_m2
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import FILL_IN
 from roomfit.files.edits import value_text
 from roomfit.files.encoding import one_line
+from roomfit.files.responses.sofa import read_sofa_pairs
 from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.schema import RoomSpec
 from roomfit.files.values import UNIT_WORDS
@@ -93,6 +95,60 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
     return model.up, ""
 
 
+class Carried(NamedTuple):
+    """What files of responses say themselves of pairs, positions, room and air."""
+
+    rows: Sequence[Mapping[str, str | int]]  # of [[measurements]]
+    positions: Positions
+    lengths_m: tuple[float, float, float] | None
+    temperature_c: float | None
+
+
+def carried_in(folder: Path, recordings: Mapping[str, tuple[str, str]]) -> Carried:
+    """Return what the SOFA files among recordings hold: a row for each response.
+
+    Positions within 1 mm are one; a file of one response has its pair by its name. Where a file
+    does not say where it was measured, sources are blank, and receivers numbered.
+    """
+    rows: list[dict[str, str | int]] = []
+    names: dict[tuple[str, tuple[float, ...]], str] = {}
+    found: dict[str, tuple[float, ...]] = {}
+    lengths_m, celsius = None, None
+    for file, pair in recordings.items():
+        if not file.lower().endswith(".sofa"):
+            continue
+        with located(str(folder / file)):
+            own = read_sofa_pairs(read_bytes(folder / file, "response file"))
+        places = zip(
+            own.sources_m.round(3).tolist(), own.receivers_m.round(3).tolist(), strict=True
+        )
+        for choice, ends in zip(own.choices, places, strict=True):
+            row: dict[str, str | int] = {}
+            for kind, letter, by_name, at in zip(
+                ("source", "receiver"), "SR", pair, ends, strict=True
+            ):
+                key = (letter, tuple(at))
+                number = len({n for (k, _), n in names.items() if k == letter}) + 1
+                if not choice:
+                    name = by_name
+                elif np.isfinite(at).all():
+                    name = names.setdefault(key, f"{letter}{number}")
+                else:
+                    name = (
+                        FILL_IN
+                        if letter == "S"
+                        else names.setdefault((letter, (len(rows),)), f"R{number}")
+                    )
+                if np.isfinite(at).all():
+                    found[name] = tuple(at)
+                row[kind] = name
+            rows.append({**row, "file": file, **choice})
+        if own.lengths_m is not None:
+            lengths_m = (float(own.lengths_m[0]), float(own.lengths_m[1]), float(own.lengths_m[2]))
+        celsius = own.temperature_c if own.temperature_c is not None else celsius
+    return Carried(rows, found, lengths_m, celsius)
+
+
 def draft_campaign(
     room: RoomSpec | None,
     recordings: Mapping[str, tuple[str, str]],
@@ -102,6 +158,7 @@ def draft_campaign(
     template: str | None = None,
     because: str = "",
     decay_times: Path | None = None,
+    carried: Carried | None = None,
 ) -> str:
     """Return the text of a first campaign file, blanks in place of what is not known.
 
@@ -110,6 +167,17 @@ def draft_campaign(
     stand, with source and receiver; the template of their names takes the place of a table for
     each, a table of decay times that of positions and recordings.
     """
+    carried = carried or Carried((), {}, None, None)
+    positions, celsius = {**(positions or {}), **carried.positions}, carried.temperature_c
+    if room is None and carried.lengths_m is not None:
+        room = RoomSpec(shoebox=carried.lengths_m)
+    own = {str(row["file"]) for row in carried.rows}
+    rows: list[Mapping[str, str | int]] = [
+        {"source": source, "receiver": receiver, "file": file}
+        for file, (source, receiver) in recordings.items()
+        if file not in own
+    ]
+    rows += carried.rows
     if decay_times is not None:
         commands = (
             "reverberation campaign.toml",
@@ -122,9 +190,10 @@ def draft_campaign(
         commands = ("check campaign.toml", "identify campaign.toml --out result")
         before = [] if template is None else [f"recordings = {value_text(template)}", ""]
         after = [
-            *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
-            *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
-            *_measurement_lines(recordings, template),
+            *_point_lines("sources", [str(row["source"]) for row in rows], positions),
+            *_point_lines("receivers", [str(row["receiver"]) for row in rows], positions),
+            *([] if celsius is None else ["", "[air]", f"temperature_c = {celsius:.1f}"]),
+            *_measurement_lines(rows, template),
         ]
         fitted = ["[identify]", "from_hz = 125", "to_hz = 4000"]
     is_known = decay_times is not None
@@ -134,7 +203,7 @@ def draft_campaign(
         "",
         *before,
         "[room]",
-        *_room_lines(room, folder, because, positions or {}, is_known=is_known),
+        *_room_lines(room, folder, because, positions, is_known=is_known),
         *after,
         "",
         *fitted,
@@ -298,14 +367,11 @@ def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[
     return lines
 
 
-def _measurement_lines(
-    recordings: Mapping[str, tuple[str, str]], template: str | None
-) -> list[str]:
+def _measurement_lines(rows: Sequence[Mapping[str, str | int]], template: str | None) -> list[str]:
     lines = ["", "# What holds of all recordings, unless their own [[measurements]] say otherwise."]
     lines += ["[defaults]", *(f"# {line}" for line in _DEFAULTS)]
     if template is not None:
         return lines
-    for file, (source, receiver) in (recordings or {FILL_IN: ("S1", "R1")}).items():
-        own = {"source": source, "receiver": receiver, "file": file}
+    for own in rows or [{"source": "S1", "receiver": "R1", "file": FILL_IN}]:
         lines += ["", "[[measurements]]", *(f"{k} = {value_text(v)}" for k, v in own.items())]
     return lines

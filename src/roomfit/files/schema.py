@@ -358,6 +358,8 @@ class _ResponseKeys(Table):
     """SOFA: which measurement, from 0."""
     receiver_index: Number | None = None
     """SOFA: which receiver, from 0."""
+    emitter_index: Number | None = None
+    """SOFA: which emitter, from 0."""
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
     """What the first sample is: emission by a common clock, the direct sound, or unknown."""
     latency_s: float = limited(-10.0, 10.0, "s; cut the file beyond that", 0.0)
@@ -376,7 +378,13 @@ class ResponseSpec(_ResponseKeys):
     @property
     def where(self) -> str:
         """The file and the part of it, as findings name them."""
-        chosen = (self.channel, self.variable, self.measurement, self.receiver_index)
+        chosen = (
+            self.channel,
+            self.variable,
+            self.measurement,
+            self.receiver_index,
+            self.emitter_index,
+        )
         part = ", ".join(str(c) for c in chosen if c is not None)
         return f"{self.path}[{part}]" if part else str(self.path)
 

@@ -23,11 +23,14 @@ _READERS = {
     ".ita": (read_ita, ("channel",)),
     ".mat": (read_mat, ("channel", "variable", "sampling_rate_variable")),
     ".npy": (read_npy, ("channel",)),
-    ".sofa": (read_sofa, ("measurement", "receiver_index")),
+    ".sofa": (read_sofa, ("measurement", "receiver_index", "emitter_index")),
     ".txt": (read_rew, ()),
 }
 RESPONSE_SUFFIXES = tuple(_READERS)
-_CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
+_CHOICES = (
+    *("channel", "variable", "sampling_rate_variable"),
+    *("measurement", "receiver_index", "emitter_index"),
+)
 
 
 def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.responses.recordings import Recording, pick
 from roomfit.files.schema import ResponseSpec
 from roomfit.formats.hdf5 import Hdf5Variable, hdf5_variables
+from roomfit.model.patterns import loudspeaker_axes
 
 # Measurement, receiver, sample or frequency, emitter: the order of axes of AES69, from which the
 # convention MultiSpeakerBRIR deviates.
@@ -22,7 +24,7 @@ Variables = Mapping[str, Hdf5Variable]  # by the names of AES69, such as "Data.I
 def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
     """Return one measurement at one receiver of a SOFA file, as `spec` chooses them."""
     sofa, data_type = read_sofa_variables(content)
-    responses = sofa_data(sofa, "Data.IR")
+    responses = _all_data(sofa, "Data.IR")
     rates_hz = sofa_values(sofa, "Data.SamplingRate")
     if responses is None or rates_hz is None:
         raise InputError(
@@ -33,6 +35,7 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
         )
     measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement")
     receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index")
+    emitter = pick("emitter", spec.emitter_index, responses.shape[3], "emitter_index")
     rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
     delay_samples = 0.0
     delays = sofa_values(sofa, "Data.Delay")
@@ -40,8 +43,10 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
         # one for all measurements, or one for each: (I or M, R) and for FIR-E an axis of emitters
         delays = np.atleast_2d(delays)
         row, column = min(measurement, delays.shape[0] - 1), min(receiver, delays.shape[1] - 1)
-        delay_samples = float(delays[row, column].reshape(-1)[0])
-    pressure = responses[measurement, receiver].copy()
+        delay_samples = float(
+            delays[row, column].reshape(-1)[min(emitter, delays[row, column].size - 1)]
+        )
+    pressure = responses[measurement, receiver, :, emitter].copy()
     return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
 
 
@@ -89,16 +94,134 @@ def sofa_data(sofa: Variables, name: str) -> FloatArray | None:
 
     Several emitters at once are refused.
     """
+    values = _all_data(sofa, name)
+    if values is not None and values.shape[3] != 1:
+        what = "the SOFA file holds several emitters at once"
+        needed, hint = "one emitter a file", "write one SOFA file for each emitter"
+        raise InputError(what, found=f"{values.shape[3]} emitters", needed=needed, hint=hint)
+    return None if values is None else values[:, :, :, 0]
+
+
+def _all_data(sofa: Variables, name: str) -> FloatArray | None:
+    """Return data as (n_measurements, n_receivers, n, n_emitters), None where there are none."""
     values = sofa_values(sofa, name)
     if values is None or values.ndim not in (3, 4):
         return None
     axes = sofa[name].axes
     if sorted(axes) == sorted(_AXES):
         values = values.transpose([axes.index(axis) for axis in _AXES])
-    if values.ndim == 4:
-        if values.shape[3] != 1:
-            what = "the SOFA file holds several emitters at once"
-            needed, hint = "one emitter a file", "write one SOFA file for each emitter"
-            raise InputError(what, found=f"{values.shape[3]} emitters", needed=needed, hint=hint)
-        values = values[:, :, :, 0]
-    return values
+    return values.reshape(*values.shape[:3], -1)
+
+
+def sofa_points(sofa: Variables, name: str, n: int) -> FloatArray | None:
+    """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
+
+    Refused are coordinates of another type, or in other units than metres and degrees.
+    """
+    values = sofa_values(sofa, name)
+    if values is None or values.size != 3 * n:
+        return None
+    if values.ndim == 3:  # receiver, coordinate, measurement
+        values = np.moveaxis(values, 1, 2)
+    values = values.reshape(n, 3)
+    kind = sofa[name].attributes.get("Type")
+    view = sofa.get(name.replace("Up", "View"))
+    if kind is None and view is not None:  # an Up shares the type of the View
+        kind = view.attributes.get("Type")
+    if kind not in (None, "cartesian", "spherical"):
+        what, needed = "the SOFA file has coordinates of another type", "cartesian or spherical"
+        hint = "directions on a grid instead of coefficients of spherical harmonics"
+        raise InputError(what, where=name, found=f"Type {kind!r}", needed=needed, hint=hint)
+    spherical, units = kind == "spherical", sofa[name].attributes.get("Units")
+    # the length of a direction in Cartesian coordinates has no unit that matters
+    if units is not None and (spherical or name.endswith("Position")):
+        words = [word.rstrip("s") for word in str(units).lower().replace(",", " ").split()]
+        found = [_SPELLINGS.get(word, word) for word in words]
+        expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
+        if found != expected:
+            what = "the SOFA file has coordinates in other units"
+            needed = "degree, degree, metre" if spherical else "metre"
+            hint = f"convert them, and set the attribute Units of {name}"
+            raise InputError(what, where=name, found=repr(str(units)), needed=needed, hint=hint)
+    if not spherical:
+        return values
+    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
+    across, height = values[:, 2] * np.cos(elevation), values[:, 2] * np.sin(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+
+
+# of the units that AES69 has
+_SPELLINGS = {"meter": "metre", "m": "metre", "deg": "degree"}
+
+
+class SofaPairs(NamedTuple):
+    """The responses of a SOFA file, and where they were measured."""
+
+    choices: list[dict[str, int]]  # what chooses each; nothing of the only one
+    sources_m: FloatArray  # (n_responses, 3) in the room, NaN where the file does not say
+    receivers_m: FloatArray  # the same
+    lengths_m: FloatArray | None  # (3,), of a room between two corners, from which positions count
+    temperature_c: float | None
+
+
+def read_sofa_pairs(content: bytes) -> SofaPairs:
+    """Return which responses a SOFA file holds, and positions, room and temperature if it says so.
+
+    Without corners of a room positions of a free field are those about a head or a loudspeaker and
+    not in a room; listeners that all stand at zero are what libraries write where nothing is known.
+    """
+    sofa, _ = read_sofa_variables(content)
+    data = _all_data(sofa, "Data.IR")
+    m, r, _, e = (1, 1, 1, 1) if data is None else data.shape
+    sources = _placed(sofa, "Source", "Emitter", m, e)
+    receivers = _placed(sofa, "Listener", "Receiver", m, r)
+    corners = [sofa_points(sofa, f"RoomCorner{end}", 1) for end in "AB"]
+    low, high = (c[0] if c is not None else np.zeros(3) for c in corners)
+    has_corners = bool(np.all(np.abs(high - low) > 0.0))
+    is_known = has_corners or (np.any(receivers) and "listenerposition" in map(str.lower, sofa))
+    start = np.minimum(low, high) if has_corners else np.where(is_known, 0.0, np.nan)
+    grid = [(i, j, k) for i in range(m) for j in range(r) for k in range(e)]
+    names = {"measurement": m, "receiver_index": r, "emitter_index": e}
+    kelvin = sofa_values(sofa, "RoomTemperature")
+    celsius = None
+    if kelvin is not None and kelvin.size == 1:
+        is_kelvin = (
+            "kelvin" in str(sofa["RoomTemperature"].attributes.get("Units", "kelvin")).lower()
+        )
+        celsius = float(kelvin.reshape(-1)[0]) - (273.15 if is_kelvin else 0.0)
+    return SofaPairs(
+        [
+            {n: i for (n, many), i in zip(names.items(), own, strict=True) if many > 1}
+            for own in grid
+        ],
+        np.array([sources[i, k] for i, _, k in grid]) - start,
+        np.array([receivers[i, j] for i, j, _ in grid]) - start,
+        np.abs(high - low) if has_corners else None,
+        celsius,
+    )
+
+
+def _placed(sofa: Variables, whole: str, part: str, m: int, n: int) -> FloatArray:
+    """Return positions of the parts of a source or a listener, shape (m, n, 3), NaN for unknown."""
+    base = next(
+        (p for k in (m, 1) if (p := sofa_points(sofa, f"{whole}Position", k)) is not None), None
+    )
+    if base is None:
+        return np.full((m, n, 3), np.nan)
+    ways = [(m, (m, 1, 3)), (1, (1, 1, 3))]
+    view, up = (
+        next(
+            (p for k, _ in ways if (p := sofa_points(sofa, f"{whole}{w}", k)) is not None),
+            np.array([d]),
+        )
+        for w, d in (("View", (1.0, 0.0, 0.0)), ("Up", (0.0, 0.0, 1.0)))
+    )
+    own = sofa_points(sofa, f"{part}Position", n)
+    offsets = np.zeros((1, n, 3)) if own is None else own[None]
+    moved = sofa_points(sofa, f"{part}Position", n * m) if own is None else None
+    if moved is not None:
+        offsets = moved.reshape(n, m, 3).swapaxes(0, 1)
+    axes = np.array(
+        [loudspeaker_axes(v, u) for v, u in zip(*np.broadcast_arrays(view, up), strict=True)]
+    )
+    return np.broadcast_to(base[:, None] + offsets @ axes, (m, n, 3)).copy()
