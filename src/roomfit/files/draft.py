@@ -26,7 +26,7 @@ from roomfit.files.encoding import one_line
 from roomfit.files.responses.sofa import read_sofa_pairs
 from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.schema import RoomSpec
-from roomfit.files.values import UNIT_WORDS
+from roomfit.files.tables import length_unit
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import catalogue, suggested_entries
 from roomfit.room.audience import audience_area_m2
@@ -57,7 +57,7 @@ def likely_units(room: Path, space: str | None = None) -> dict[str, str]:
     if model.unit is not None:
         return {model.unit: "by the format of the file"}
     head = read_bytes(room, "room file")[:_HEADER_BYTES].decode("ascii", errors="replace")
-    stated = [UNIT_WORDS[m.lower()] for m in _STATED_UNIT.findall(head) if m.lower() in UNIT_WORDS]
+    stated = [unit for m in _STATED_UNIT.findall(head) if (unit := length_unit(m.lower()))]
     if stated:
         return {stated[0]: "by the header of the file"}
     return plausible_units(np.ptp(model.vertices, axis=0))
@@ -111,7 +111,7 @@ def carried_in(folder: Path, recordings: Mapping[str, tuple[str, str]]) -> Carri
     does not say where it was measured, sources are blank, and receivers numbered.
     """
     rows: list[dict[str, str | int]] = []
-    names: dict[tuple[str, tuple[float, ...]], str] = {}
+    names: dict[str, dict[tuple[object, ...], str]] = {"source": {}, "receiver": {}}
     found: dict[str, tuple[float, ...]] = {}
     lengths_m, celsius = None, None
     for file, pair in recordings.items():
@@ -119,33 +119,19 @@ def carried_in(folder: Path, recordings: Mapping[str, tuple[str, str]]) -> Carri
             continue
         with located(str(folder / file)):
             own = read_sofa_pairs(read_bytes(folder / file, "response file"))
-        places = zip(
-            own.sources_m.round(3).tolist(), own.receivers_m.round(3).tolist(), strict=True
-        )
-        for choice, ends in zip(own.choices, places, strict=True):
+        for i, choice in enumerate(own.choices):
             row: dict[str, str | int] = {}
-            for kind, letter, by_name, at in zip(
-                ("source", "receiver"), "SR", pair, ends, strict=True
+            for (kind, known), at_m, name in zip(
+                names.items(), own.ends_m[:, i], pair, strict=True
             ):
-                key = (letter, tuple(at))
-                number = len({n for (k, _), n in names.items() if k == letter}) + 1
-                if not choice:
-                    name = by_name
-                elif np.isfinite(at).all():
-                    name = names.setdefault(key, f"{letter}{number}")
-                else:
-                    name = (
-                        FILL_IN
-                        if letter == "S"
-                        else names.setdefault((letter, (len(rows),)), f"R{number}")
-                    )
-                if np.isfinite(at).all():
-                    found[name] = tuple(at)
-                row[kind] = name
+                at, is_known = tuple(at_m.round(3).tolist()), bool(np.isfinite(at_m).all())
+                new = f"{kind[0].upper()}{len(known) + 1}"
+                if choice and (is_known or kind == "receiver"):
+                    name = known.setdefault(at if is_known else (file, i), new)
+                row[kind] = FILL_IN if choice and not is_known and kind == "source" else name
+                found |= {name: at} if is_known else {}
             rows.append({**row, "file": file, **choice})
-        if own.lengths_m is not None:
-            lengths_m = (float(own.lengths_m[0]), float(own.lengths_m[1]), float(own.lengths_m[2]))
-        celsius = own.temperature_c if own.temperature_c is not None else celsius
+        lengths_m, celsius = own.lengths_m or lengths_m, own.temperature_c or celsius
     return Carried(rows, found, lengths_m, celsius)
 
 

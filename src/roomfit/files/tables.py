@@ -51,7 +51,7 @@ _BELOW = ("8", "10", "12.5", "12,5", "16", "20")  # bands that are not used
 def words_of(kind: str) -> re.Pattern[str]:
     """Return the pattern of a kind of words, see ``words.toml``."""
     known = tomllib.loads(files("roomfit.files").joinpath("words.toml").read_text("utf-8"))
-    if kind == "quantity":
+    if isinstance(known[kind], dict):
         own = "|".join(f"(?P<{name}>{'|'.join(ways)})" for name, ways in known[kind].items())
         return re.compile(rf"(?<![^\W_])(?:{own})(?![^\W_])")
     return re.compile("|".join(known[kind]))
@@ -60,6 +60,12 @@ def words_of(kind: str) -> re.Pattern[str]:
 def is_word(kind: str, label: str) -> bool:
     """Whether a label is a word of a kind."""
     return bool(words_of(kind).fullmatch(label))
+
+
+def length_unit(word: str) -> str:
+    """Return the unit that a word in small letters stands for, "" for none."""
+    match = words_of("length").fullmatch(word)
+    return str(match.lastgroup) if match else ""
 
 
 class Row(NamedTuple):
@@ -121,6 +127,7 @@ def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
     """
     is_book = path.suffix.lower() == ".xlsx"
     lines: list[str] = []
+    found: Iterable[tuple[int, list[str]]]
     if is_book:
         separator, found = "\t", _sheet_rows(read_bytes(path, what, most="text_bytes"), str(path))
     else:

@@ -26,12 +26,14 @@ from roomfit.files.tables import (
     band_rows,
     is_word,
     left_out,
+    length_unit,
     quantity_in,
     read_sheet,
     words_of,
 )
 from roomfit.formats.model import METRES_PER_UNIT
 from roomfit.signals.iso3382 import (
+    VALUE_NAMES,
     MeasuredValues,
     ValueName,
     check_possible,
@@ -39,27 +41,7 @@ from roomfit.signals.iso3382 import (
     joined_values,
 )
 
-UNIT_WORDS = {
-    word: unit
-    for unit, words in {
-        "m": "m meter meters metre metres",
-        "mm": "mm millimeter millimeters millimetre millimetres",
-        "cm": "cm centimeter centimeters centimetre centimetres",
-        "ft": "ft foot feet",
-        "in": "in inch inches",
-    }.items()
-    for word in words.split()
-}
-_PARAMETERS: dict[str, ValueName] = {
-    "T20": "T20_s",
-    "T30": "T30_s",
-    "EDT": "EDT_s",
-    "C50": "C50_dB",
-    "C80": "C80_dB",
-    "D50": "D50_percent",
-    "TS": "TS_ms",
-    "G": "G_dB",
-}
+_PARAMETERS: dict[str, ValueName] = {name.partition("_")[0].upper(): name for name in VALUE_NAMES}
 _NEVER_ZERO = ("T20_s", "T30_s", "EDT_s", "TS_ms")
 _PAIR = ("source", "receiver", "parameter")
 _NEEDED = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
@@ -129,7 +111,7 @@ def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
     spherical = set()
     for i, cell in enumerate(row.cells):
         label = re.sub(r"[\[(].*?[\])]", " ", cell.lower())
-        words = [w for w in re.findall(r"[^\W\d_]+", label) if w not in UNIT_WORDS]
+        words = [w for w in re.findall(r"[^\W\d_]+", label) if not length_unit(w)]
         words = [
             m[1] if (m := words_of("axis").fullmatch(w)) else w
             for w in words
@@ -179,7 +161,7 @@ def _name_column(row: Row, at: Sequence[int], sheet: Sheet) -> int:
 
 def _unit_in(label: str) -> str:
     """Return the unit of length that a label names, "" for none: of "x in cm" centimetres."""
-    units = [UNIT_WORDS[w] for w in re.split(r"[^a-z]+", label.lower()) if w in UNIT_WORDS]
+    units = [unit for w in re.split(r"[^a-z]+", label.lower()) if (unit := length_unit(w))]
     return next((u for u in units if u != "in"), units[0] if units else "")
 
 
@@ -211,9 +193,10 @@ def _name_and_coordinates(
 def _metres(cell: str, unit: str, row: Row, sheet: Sheet) -> float:
     """Return a coordinate in m, NaN for none; its cell may state another unit than its column."""
     known = sheet.number(cell)
-    if known is None or known[1] not in ("", *UNIT_WORDS):
+    own = length_unit(known[1]) if known else ""
+    if known is None or (known[1] and not own):
         raise _not_understood(row, "correct it")
-    unit = UNIT_WORDS.get(known[1], unit)
+    unit = own or unit
     if unit == "mm" and not sheet.decimal and re.fullmatch(r"-?[1-9]\d{0,2}[.,]\d{3}", cell):
         raise _not_understood(row, f"write {cell} without the mark if it is of thousands")
     return round(METRES_PER_UNIT[unit] * known[0], 6)

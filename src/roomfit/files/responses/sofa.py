@@ -17,6 +17,7 @@ from roomfit.model.patterns import loudspeaker_axes
 # Measurement, receiver, sample or frequency, emitter: the order of axes of AES69, from which the
 # convention MultiSpeakerBRIR deviates.
 _AXES = "MRNE"
+_LARGEST_HEAD_M = 0.5
 
 Variables = Mapping[str, Hdf5Variable]  # by the names of AES69, such as "Data.IR"
 
@@ -158,70 +159,55 @@ class SofaPairs(NamedTuple):
     """The responses of a SOFA file, and where they were measured."""
 
     choices: list[dict[str, int]]  # what chooses each; nothing of the only one
-    sources_m: FloatArray  # (n_responses, 3) in the room, NaN where the file does not say
-    receivers_m: FloatArray  # the same
-    lengths_m: FloatArray | None  # (3,), of a room between two corners, from which positions count
+    ends_m: FloatArray  # (2, n_responses, 3) of source and receiver, NaN where it is not known
+    lengths_m: tuple[float, float, float] | None  # of a room, from whose corner positions count
     temperature_c: float | None
 
 
 def read_sofa_pairs(content: bytes) -> SofaPairs:
     """Return which responses a SOFA file holds, and positions, room and temperature if it says so.
 
-    Without corners of a room positions of a free field are those about a head or a loudspeaker and
-    not in a room; listeners that all stand at zero are what libraries write where nothing is known.
+    Without corners of a room, receivers that are all near zero are at a head or about a
+    loudspeaker in a free field, or what libraries write where nothing is known.
     """
     sofa, _ = read_sofa_variables(content)
     data = _all_data(sofa, "Data.IR")
     m, r, _, e = (1, 1, 1, 1) if data is None else data.shape
     sources = _placed(sofa, "Source", "Emitter", m, e)
     receivers = _placed(sofa, "Listener", "Receiver", m, r)
-    corners = [sofa_points(sofa, f"RoomCorner{end}", 1) for end in "AB"]
-    low, high = (c[0] if c is not None else np.zeros(3) for c in corners)
-    has_corners = bool(np.all(np.abs(high - low) > 0.0))
-    is_known = has_corners or (np.any(receivers) and "listenerposition" in map(str.lower, sofa))
-    start = np.minimum(low, high) if has_corners else np.where(is_known, 0.0, np.nan)
+    low, high = (_one(sofa, f"RoomCorner{end}", 1, (0.0, 0.0, 0.0))[0] for end in "AB")
+    x, y, z = np.abs(high - low).tolist()
+    is_known = x * y * z > 0.0 or np.abs(receivers).max(initial=0.0) > _LARGEST_HEAD_M
+    start = np.minimum(low, high) if x * y * z > 0.0 else 0.0 if is_known else np.nan
     grid = [(i, j, k) for i in range(m) for j in range(r) for k in range(e)]
-    names = {"measurement": m, "receiver_index": r, "emitter_index": e}
+    ends_m = np.array([[sources[i, k], receivers[i, j]] for i, j, k in grid]).swapaxes(0, 1)
+    several = {"measurement": m > 1, "receiver_index": r > 1, "emitter_index": e > 1}
+    choices = [
+        {key: i for (key, many), i in zip(several.items(), own, strict=True) if many}
+        for own in grid
+    ]
     kelvin = sofa_values(sofa, "RoomTemperature")
     celsius = None
     if kelvin is not None and kelvin.size == 1:
-        is_kelvin = (
-            "kelvin" in str(sofa["RoomTemperature"].attributes.get("Units", "kelvin")).lower()
-        )
-        celsius = float(kelvin.reshape(-1)[0]) - (273.15 if is_kelvin else 0.0)
-    return SofaPairs(
-        [
-            {n: i for (n, many), i in zip(names.items(), own, strict=True) if many > 1}
-            for own in grid
-        ],
-        np.array([sources[i, k] for i, _, k in grid]) - start,
-        np.array([receivers[i, j] for i, j, _ in grid]) - start,
-        np.abs(high - low) if has_corners else None,
-        celsius,
-    )
+        unit = str(sofa["RoomTemperature"].attributes.get("Units", "kelvin")).lower()
+        celsius = float(kelvin.reshape(-1)[0]) - (273.15 if unit.startswith("k") else 0.0)
+    return SofaPairs(choices, ends_m - start, (x, y, z) if x * y * z > 0.0 else None, celsius)
+
+
+def _one(sofa: Variables, name: str, n: int, otherwise: tuple[float, ...]) -> FloatArray:
+    """Return n points, or the only one, (n or 1, 3); another one where the file has none."""
+    found = (sofa_points(sofa, name, k) for k in (n, 1))
+    return next((p for p in found if p is not None), np.array([otherwise]))
 
 
 def _placed(sofa: Variables, whole: str, part: str, m: int, n: int) -> FloatArray:
     """Return positions of the parts of a source or a listener, shape (m, n, 3), NaN for unknown."""
-    base = next(
-        (p for k in (m, 1) if (p := sofa_points(sofa, f"{whole}Position", k)) is not None), None
-    )
-    if base is None:
-        return np.full((m, n, 3), np.nan)
-    ways = [(m, (m, 1, 3)), (1, (1, 1, 3))]
-    view, up = (
-        next(
-            (p for k, _ in ways if (p := sofa_points(sofa, f"{whole}{w}", k)) is not None),
-            np.array([d]),
-        )
-        for w, d in (("View", (1.0, 0.0, 0.0)), ("Up", (0.0, 0.0, 1.0)))
-    )
-    own = sofa_points(sofa, f"{part}Position", n)
-    offsets = np.zeros((1, n, 3)) if own is None else own[None]
-    moved = sofa_points(sofa, f"{part}Position", n * m) if own is None else None
+    base = _one(sofa, f"{whole}Position", m, (np.nan,) * 3)
+    view = _one(sofa, f"{whole}View", m, (1.0, 0.0, 0.0))
+    view, up = np.broadcast_arrays(view, _one(sofa, f"{whole}Up", m, (0.0, 0.0, 1.0)))
+    axes = np.array([loudspeaker_axes(v, u) for v, u in zip(view, up, strict=True)])
+    moved = sofa_points(sofa, f"{part}Position", n * m)  # with each measurement
+    offsets = _one(sofa, f"{part}Position", n, (0.0, 0.0, 0.0))[None]
     if moved is not None:
         offsets = moved.reshape(n, m, 3).swapaxes(0, 1)
-    axes = np.array(
-        [loudspeaker_axes(v, u) for v, u in zip(*np.broadcast_arrays(view, up), strict=True)]
-    )
-    return np.broadcast_to(base[:, None] + offsets @ axes, (m, n, 3)).copy()
+    return np.broadcast_to(base[:, None] + offsets @ axes, (m, n, 3))
