@@ -53,13 +53,8 @@ from roomfit.room.scene import (
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
+from roomfit.uncertainty import intervals
 from roomfit.uncertainty.combinations import Determined, determined, inseparable_findings
-from roomfit.uncertainty.intervals import (
-    Refinement,
-    identifiable_by_rule,
-    with_draws,
-    with_errors_of_all_bands,
-)
 
 _LOG = logging.getLogger("roomfit")
 
@@ -217,7 +212,7 @@ def _fitted_where_it_stands(
     trim_memory()
     if fits.directivities:
         traced = redirected(measured, traced, fits.directivities)
-    answers = with_errors_of_all_bands(
+    answers = intervals.with_errors_of_all_bands(
         fits.answers, material_areas_m2(given.measured.scene.room), fits.added
     )
     return observed, traced, replace(fits, answers=answers)
@@ -259,7 +254,7 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         own = evidence.absorption[:n], covariance[:, :n, :n], prior, areas_m2
         return determined(walls, *own, settings.seed, specified[:n])
 
-    by_rule = identifiable_by_rule(fits.answers, priors)
+    by_rule = intervals.identifiable_by_rule(fits.answers, priors)
     identifiable, groups = judge(by_rule, doubts, priors, measured.bands), of_groups(0)
     if not any(f.code.voids_identifiability for f in doubts):
         known = identifiable[:n], [d.combinations for d in groups]
@@ -269,7 +264,9 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         scene=scene,
         bands=measured.bands,
         priors=priors,
-        estimates=with_draws(fits.answers, priors, covariance, settings.n_draws, settings.seed),
+        estimates=intervals.with_draws(
+            fits.answers, priors, covariance, settings.n_draws, settings.seed
+        ),
         determined=groups,
         identifiable=identifiable[:n],
         identifiable_by_rule=by_rule[:n],
@@ -289,9 +286,9 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
 
 def _refinement(
     measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
-) -> Refinement:
+) -> intervals.Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
-    return Refinement(
+    return intervals.Refinement(
         not settings.quick and settings.method in LEAST_SQUARES_METHODS,
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),

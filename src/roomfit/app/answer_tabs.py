@@ -11,18 +11,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from roomfit.app import project
-from roomfit.app.elements import (
-    Advice,
-    Tab,
-    emptied,
-    field,
-    findings,
-    heading,
-    markup,
-    quiet_button,
-    saying_errors,
-)
+from roomfit.app import elements, project
 from roomfit.app.jobs import Bench
 from roomfit.base.bands import OCTAVES_HZ
 from roomfit.report.wording import hertz
@@ -54,7 +43,7 @@ _WHOLE = {
 _FILES = ("report.html", "absorption.csv", *project.MEAN_FILES)
 
 
-class IdentifyTab(Tab):
+class IdentifyTab(elements.Tab):
     """Bands, buttons that begin an identification, and the best answer that there is."""
 
     name: ClassVar[str] = "Identify"
@@ -68,32 +57,36 @@ class IdentifyTab(Tab):
             with ui.element("div").classes("bar panel"):
                 with ui.element("div").classes("bar") as self.of_walls:
                     wide = "width: 9rem"
-                    self.lowest = field(self.bands, "low", "Lowest octave", _OCTAVES, style=wide)
-                    self.highest = field(self.bands, "high", "Highest octave", _OCTAVES, style=wide)
+                    self.lowest = elements.field(
+                        self.bands, "low", "Lowest octave", _OCTAVES, style=wide
+                    )
+                    self.highest = elements.field(
+                        self.bands, "high", "Highest octave", _OCTAVES, style=wide
+                    )
                     text = "First answer, then the full one"
                     both = partial(self._start, True, False)
                     ui.button(text, on_click=both).props("no-caps")
-                    quiet_button("First answer only", partial(self._start, True))
-                    quiet_button("Full answer only", partial(self._start, False))
+                    elements.quiet_button("First answer only", partial(self._start, True))
+                    elements.quiet_button("Full answer only", partial(self._start, False))
                 text = "Mean absorption from the decay times"
-                self.times = quiet_button(text, self.start_times)
+                self.times = elements.quiet_button(text, self.start_times)
                 self.times_alone = ui.label(_TIMES_ALONE).classes("soft").style("flex: 1 1 20rem")
             with ui.element("div") as self.stale:
-                findings([{"severity": "warning", "sentence": _STALE}])
+                elements.findings([{"severity": "warning", "sentence": _STALE}])
             self.stale.set_visibility(False)
-            self.advice = Advice(bench.folder)
+            self.advice = elements.Advice(bench.folder)
             self.answer = ui.element("div").style("width: 100%")
 
     def _start(self, *quick: bool) -> None:
         folder = self.bench.folder
-        with saying_errors(self.answer):
+        with elements.saying_errors(self.answer):
             project.check_campaign_there(folder)
             project.set_bands(folder, self.bands["low"], self.bands["high"])
             for one in quick:
                 self.bench.add("First answer" if one else "Full answer", "identify", quick=one)
 
     async def start_times(self) -> None:
-        with saying_errors(self.answer):
+        with elements.saying_errors(self.answer):
             await self.bench.ask("reverberation")
             await self.refresh()
 
@@ -120,18 +113,18 @@ class IdentifyTab(Tab):
         self.stale.set_visibility(view.get("stale", False))
         self.advice.show(view.get("advised", []))
         made = view.get("made")
-        if emptied(self.answer, (name, made)):
+        if elements.emptied(self.answer, (name, made)):
             with self.answer:
                 if made is None:
                     ui.label("No answer yet.").classes("soft")
                     return
-                heading(f"Absorption: {_NAMES[name][0]}")
+                elements.heading(f"Absorption: {_NAMES[name][0]}")
                 page = project.MEAN_FILES[0] if name == project.MEAN else "report.html"
                 address = escape(f"files/{name}/{page}?{made:.0f}")
-                markup(f'<iframe class="report" title="Report" src="{address}"></iframe>')
+                elements.markup(f'<iframe class="report" title="Report" src="{address}"></iframe>')
 
 
-class ReportTab(Tab):
+class ReportTab(elements.Tab):
     """The files of the best answer, and exports that are made when they are asked for."""
 
     name: ClassVar[str] = "Report"
@@ -145,7 +138,7 @@ class ReportTab(Tab):
         self.exported: dict[str, list[str]] = {}  # files by format, of the answer that is shown
 
     async def export(self, wanted: str) -> None:
-        with saying_errors(self.answer):
+        with elements.saying_errors(self.answer):
             files = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
             if self.answer.is_deleted:  # the page was closed meanwhile
                 return
@@ -158,34 +151,36 @@ class ReportTab(Tab):
         """Show the files of the best answer."""
         mean = self.bench.folder / project.MEAN / project.MEAN_FILES[-1]
         found = project.best_result(self.bench.folder) or (mean if mean.is_file() else None)
-        if emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
+        if elements.emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
             self.exported.clear()  # of the answer before
             with self.answer:
                 self._show_answer(found)
-        if emptied(self.links, dict(self.exported)):
+        if elements.emptied(self.links, dict(self.exported)):
             with self.links:
                 for file in [file for files in self.exported.values() for file in files]:
-                    markup(f'<a href="files/{escape(quote(file))}?save=1">{escape(file)}</a>')
+                    elements.markup(
+                        f'<a href="files/{escape(quote(file))}?save=1">{escape(file)}</a>'
+                    )
 
     def _show_answer(self, found: Path | None) -> None:
         if found is None:
             ui.label("No answer yet: identify first.").classes("soft")
             return
         folder = found.parent.name
-        heading(_NAMES[folder][1])
+        elements.heading(_NAMES[folder][1])
         names = [n for n in _FILES if (found.parent / n).is_file()]
         links = [f'<a href="files/{folder}/{n}?save=1" download>Download {n}</a>' for n in names]
         text, how = "Open the report in a tab of its own", 'target="_blank" rel="noopener"'
         pages = [n for n in names if n.endswith(".html")]
         links += [f'<a href="files/{folder}/{n}" {how}>{text}</a>' for n in pages]
-        markup(f"<ul>{''.join(f'<li>{link}</li>' for link in links)}</ul>")
+        elements.markup(f"<ul>{''.join(f'<li>{link}</li>' for link in links)}</ul>")
         if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
             return
         self._show_buttons(_WHOLE)
-        heading("Materials for other programs")
+        elements.heading("Materials for other programs")
         self._show_buttons(_PROGRAMS)
 
     def _show_buttons(self, offered: Mapping[str, str]) -> None:
         with ui.element("div").classes("bar"):
             for wanted, text in offered.items():
-                quiet_button(text, partial(self.export, wanted))
+                elements.quiet_button(text, partial(self.export, wanted))

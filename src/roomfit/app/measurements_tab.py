@@ -9,23 +9,7 @@ from typing import Any, ClassVar
 
 from nicegui import ui
 
-from roomfit.app import project
-from roomfit.app.elements import (
-    Advice,
-    PlanView,
-    Recorder,
-    Tab,
-    emptied,
-    field,
-    file_drop,
-    findings,
-    heading,
-    markup,
-    on_entered,
-    quiet_button,
-    saying_errors,
-    show_table,
-)
+from roomfit.app import elements, project
 from roomfit.app.jobs import Bench
 from roomfit.files.draft import Positions
 from roomfit.files.responses import RESPONSE_SUFFIXES
@@ -52,7 +36,7 @@ _LABELS = {
 }
 
 
-class MeasureTab(Tab):
+class MeasureTab(elements.Tab):
     """Two names, how long, a recorder, and what the last response is good for."""
 
     name: ClassVar[str] = "Measure"
@@ -63,15 +47,15 @@ class MeasureTab(Tab):
         self.asked = dict(_ASKED)
         with self.place:
             with ui.element("div").classes("panel"):
-                heading("Measure an impulse response")
+                elements.heading("Measure an impulse response")
                 ui.label(
                     "Stand away, keep still, and set the loudspeaker as loud as it plays cleanly. "
                     "The response is written as recordings/SOURCE_RECEIVER.wav."
                 ).classes("soft")
                 with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
                     for key, label in _LABELS.items():
-                        field(self.asked, key, label, style="width: 7rem", then=self._ask)
-                self.recorder = Recorder("measured", self.show, asked=dict(self.asked))
+                        elements.field(self.asked, key, label, style="width: 7rem", then=self._ask)
+                self.recorder = elements.Recorder("measured", self.show, asked=dict(self.asked))
             self.quality = ui.element("div").style("margin: 0.75rem 0").props('role="status"')
             self.measured = ui.label().classes("soft")
 
@@ -80,13 +64,13 @@ class MeasureTab(Tab):
 
     async def show(self, quality: dict[str, Any]) -> None:
         """Show how good the response is that was measured just now."""
-        if not emptied(self.quality, quality):
+        if not elements.emptied(self.quality, quality):
             return
         with self.quality, ui.element("div").classes("panel"):
-            heading(f"{quality['source']} to {quality['receiver']}")
+            elements.heading(f"{quality['source']} to {quality['receiver']}")
             doubts = [f"Measure again: {reason}." for reason in quality["again"]]
             doubts += [quality["not_named"]] if "not_named" in quality else []
-            findings({"severity": "warning", "sentence": sentence} for sentence in doubts)
+            elements.findings({"severity": "warning", "sentence": sentence} for sentence in doubts)
             if not quality["again"]:
                 ui.label("It suffices from 125 Hz to 4 kHz.")
             caption = (
@@ -98,7 +82,7 @@ class MeasureTab(Tab):
                 [hertz(f), f"{range_db:.0f} dB", good or "too short"]
                 for f, range_db, good in zip(*columns, strict=True)
             ]
-            show_table(caption, ("Octave", "Range of the decay", "Suffices for"), rows)
+            elements.show_table(caption, ("Octave", "Range of the decay", "Suffices for"), rows)
 
     async def refresh(self) -> None:
         """Show which responses there are."""
@@ -106,7 +90,7 @@ class MeasureTab(Tab):
         self.measured.set_text(f"In recordings: {', '.join(names) or 'none yet'}")
 
 
-class MeasurementsTab(Tab):
+class MeasurementsTab(elements.Tab):
     """A place for recordings, positions as fields and on a plan, and what is known of each file."""
 
     name: ClassVar[str] = "Measurements"
@@ -122,31 +106,31 @@ class MeasurementsTab(Tab):
             with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
                 self._draw_files()
             self.general = ui.element("div")
-            self.advice = Advice(bench.folder)
+            self.advice = elements.Advice(bench.folder)
             with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
                 self.table = ui.element("div")
                 with ui.element("div") as self.from_above:
                     nothing: dict[str, Any] = {"edges": [], "points": [], "walls": []}
-                    self.plan = PlanView("dropped", self._drop, plan=nothing)
+                    self.plan = elements.PlanView("dropped", self._drop, plan=nothing)
                     text = "Drag what stands elsewhere. What has no place yet comes to "
                     ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
             self.listed = ui.element("div").classes("panel")
 
     def _draw_files(self) -> None:
         text = "Recordings, dropped here or chosen:"
-        file_drop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self._name_recordings)
+        elements.file_drop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self._name_recordings)
         with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
             text = "How they are named (left empty: by their names)"
-            self.typed = field(self.naming, "template", text, style="flex: 1 1 16rem")
+            self.typed = elements.field(self.naming, "template", text, style="flex: 1 1 16rem")
             self.typed.props(f"placeholder='{_EXAMPLE}'")
-            quiet_button("Use these names", self._use_template)
+            elements.quiet_button("Use these names", self._use_template)
         text = "Table of positions (CSV, XLSX), dropped here or chosen:"
         words = "or paste positions: name, x, y, z"
-        file_drop(text, project.POSITIONS, TABLE_SUFFIXES, self._take_positions, words)
+        elements.file_drop(text, project.POSITIONS, TABLE_SUFFIXES, self._take_positions, words)
         with ui.expansion("Only decay times are known") as self.decay_times:
             text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
             words = "or paste decay times: a line of octaves in Hz, a line for each position"
-            file_drop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self._take_times, words)
+            elements.file_drop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self._take_times, words)
 
     async def _name_recordings(self, _: object = None) -> None:
         await self._write(project.name_recordings)
@@ -162,19 +146,19 @@ class MeasurementsTab(Tab):
         self, change: Callable[[Path, Positions, Positions], None], table: str = ""
     ) -> None:
         """Change the campaign by the tables of positions, and show what has become of it."""
-        with saying_errors(self.general):
+        with elements.saying_errors(self.general):
             known, moved = await self.bench.ask("table_positions", table=table)
             change(self.bench.folder, known, moved)
             await self.refresh()
 
     async def _take_times(self, names: list[str]) -> None:
-        with saying_errors(self.general):
+        with elements.saying_errors(self.general):
             project.set_decay_times(self.bench.folder, names[-1])
             await self.bench.ask("reverberation")
             await self.refresh()
 
     async def _drop(self, said: Mapping[str, Any]) -> None:
-        with saying_errors(self.general):
+        with elements.saying_errors(self.general):
             before = self._position(said["kind"], said["name"])["position_m"]
             place_m = (*map(float, said["at"]), _HEIGHT_M if before is None else before[2])
             project.set_position(self.bench.folder, said["kind"], said["name"], place_m)
@@ -186,7 +170,7 @@ class MeasurementsTab(Tab):
         point = self._position(kind, name)
         if None in values or point["position_m"] == values:
             return
-        with saying_errors(self.general):
+        with elements.saying_errors(self.general):
             project.set_position(self.bench.folder, kind, name, values)
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await self.refresh()
@@ -200,9 +184,9 @@ class MeasurementsTab(Tab):
         view = await self.newest(self.bench.ask("recordings_view"))
         if view is None:
             return
-        if emptied(self.general, view["findings"]):
+        if elements.emptied(self.general, view["findings"]):
             with self.general:
-                findings(view["findings"])
+                elements.findings(view["findings"])
         self.advice.show(view["advised"])
         if view["template"] != self.template:  # what is half typed stays
             self.template = view["template"]
@@ -215,16 +199,16 @@ class MeasurementsTab(Tab):
         self.from_above.set_visibility(bool(view["plan"] and self.positions))
         points = [dict(point) for point in self.positions]  # what is typed changes them
         self.plan.tell(plan={"edges": view["plan"], "points": points, "walls": view["walls"]})
-        if emptied(self.listed, (view["table"], view["rows"])):
+        if elements.emptied(self.listed, (view["table"], view["rows"])):
             with self.listed:
-                heading("Recordings")
+                elements.heading("Recordings")
                 rows = [
                     [row[key] for key in ("file", "source", "receiver")] for row in view["rows"]
                 ]
                 if view["table"]:
-                    markup(f'<div class="scroll" tabindex="0">{view["table"]}</div>')
+                    elements.markup(f'<div class="scroll" tabindex="0">{view["table"]}</div>')
                 elif rows:
-                    show_table("By name", ("Recording", "Source", "Receiver"), rows)
+                    elements.show_table("By name", ("Recording", "Source", "Receiver"), rows)
                 else:
                     ui.label("None yet.").classes("soft")
 
@@ -246,7 +230,7 @@ class MeasurementsTab(Tab):
         self.table.clear()
         self.fields.clear()
         with self.table:
-            heading("Positions in m")
+            elements.heading("Positions in m")
             if not named:
                 ui.label("None yet: they come with the names of recordings.").classes("soft")
             with ui.element("div").classes("positions"):
@@ -255,5 +239,7 @@ class MeasurementsTab(Tab):
                     row = self.fields[kind, name] = []
                     for word in "xyz":
                         spoken = f"{name} {word} in m"
-                        row.append(field({}, word, word, spoken=spoken, step=0.01, format="%.3f"))
-                        on_entered(row[-1], partial(self.type_position, kind, name))
+                        row.append(
+                            elements.field({}, word, word, spoken=spoken, step=0.01, format="%.3f")
+                        )
+                        elements.on_entered(row[-1], partial(self.type_position, kind, name))

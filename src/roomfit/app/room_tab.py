@@ -9,20 +9,7 @@ from typing import Any, ClassVar
 
 from nicegui import ui
 
-from roomfit.app import project
-from roomfit.app.elements import (
-    RoomView,
-    Tab,
-    emptied,
-    field,
-    file_drop,
-    finding_html,
-    heading,
-    markup,
-    on_entered,
-    quiet_button,
-    saying_errors,
-)
+from roomfit.app import elements, project
 from roomfit.app.jobs import Bench
 from roomfit.files.rooms import READERS
 from roomfit.formats.model import METRES_PER_UNIT
@@ -41,7 +28,7 @@ def catalogue_words() -> dict[str, str]:
     return {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
 
 
-class RoomTab(Tab):
+class RoomTab(elements.Tab):
     """The room in three dimensions, its surfaces, and what the chosen one is made of."""
 
     name: ClassVar[str] = "Room"
@@ -57,7 +44,9 @@ class RoomTab(Tab):
             self.both = ui.element("div").classes("two")
         with self.both:
             with ui.element("div"):
-                self.view = RoomView("pick", lambda number: self.pick(int(number)), selected=-1)
+                self.view = elements.RoomView(
+                    "pick", lambda number: self.pick(int(number)), selected=-1
+                )
                 self.facts = ui.label().classes("soft")
                 self.faults = ui.element("div")
             with ui.element("div").classes("panel"):
@@ -93,7 +82,7 @@ class RoomTab(Tab):
         words = "can be traced" if found["traceable"] else "cannot be traced"
         size = f"{found['volume_m3']:.1f} m³, {found['surface_m2']:.1f} m²"
         self.facts.set_text(f"{size}{path}; {words}.")
-        if emptied(self.faults, found["findings"]):
+        if elements.emptied(self.faults, found["findings"]):
             with self.faults:
                 for finding in found["findings"]:
                     self._show_fault(finding)
@@ -101,20 +90,22 @@ class RoomTab(Tab):
 
     def _show_fault(self, finding: dict[str, Any]) -> None:
         with ui.element("div").classes("bar"):
-            own = finding_html(finding["severity"], finding["sentence"])
-            markup(own).style("flex: 1 1 16rem")
+            own = elements.finding_html(finding["severity"], finding["sentence"])
+            elements.markup(own).style("flex: 1 1 16rem")
             for place in finding["about"].get("points_m", [])[:3]:
                 text = "Show " + ", ".join(f"{x:.2f}" for x in place)
-                quiet_button(text, partial(self.view.tell, selected=-1, mark=place)).props("dense")
+                elements.quiet_button(text, partial(self.view.tell, selected=-1, mark=place)).props(
+                    "dense"
+                )
 
     def _show_surfaces(self) -> None:
         own = self.room["surfaces"][self.chosen] if self.chosen >= 0 else None
         colours = [m["colour"] for m in self.room["materials"]]
         listed = self.room["surfaces"][:_MOST_SURFACES]
-        if emptied(self.surfaces, (listed, colours)):
+        if elements.emptied(self.surfaces, (listed, colours)):
             self.lines.clear()
             with self.surfaces:
-                heading("Surfaces")
+                elements.heading("Surfaces")
                 group = ui.element("div").classes("surfaces")
                 with group.props('role="group" aria-label="Surfaces"'):
                     for i, surface in enumerate(listed):
@@ -123,7 +114,7 @@ class RoomTab(Tab):
             line.props["aria-pressed"] = "true" if i == self.chosen else "false"
         material = {} if own is None else self.room["materials"][own["material_index"]]
         names = [m["name"] for m in self.room["materials"]]
-        if emptied(self.details, (own, names, material)):
+        if elements.emptied(self.details, (own, names, material)):
             with self.details:
                 if own is None:
                     text = "Choose a surface, here or in the picture, to say what it is made of."
@@ -137,16 +128,16 @@ class RoomTab(Tab):
         self.lines.append(line)
         with line:
             swatch = f'<span class="swatch" style="background:{escape(colour)}"></span>'
-            markup(f"{swatch}{escape(surface['name'])}")
+            elements.markup(f"{swatch}{escape(surface['name'])}")
             ui.label(f"{surface['material']}, {surface['area_m2']:.1f} m²").classes("right")
 
     def _draw_details(
         self, surface: dict[str, Any], names: list[str], material: dict[str, Any]
     ) -> None:
         folder, own = self.bench.folder, dict(surface)
-        heading(f"Surface {surface['name']}")
+        elements.heading(f"Surface {surface['name']}")
         label, wide = "Material (choose, or type a new name and Enter)", "width: 100%"
-        field(
+        elements.field(
             own, "material", label, names, style=f"{wide}; margin-bottom: 0.6rem",
             then=lambda: self._change(
                 partial(project.set_surface_material, folder, own["name"], str(own["material"]))
@@ -160,7 +151,7 @@ class RoomTab(Tab):
         entry = entries.get(material["prior"])
         prior: dict[str, Any] = {"entry": None if entry is None else entry.name}
         label = f"What {material['name']} is (search the catalogue)"
-        field(
+        elements.field(
             prior, "entry", label, words, style=wide, with_input=True, clearable=True,
             then=lambda: self._change(
                 partial(project.set_prior, folder, material["name"], prior["entry"])
@@ -171,7 +162,7 @@ class RoomTab(Tab):
             ui.label(f"Absorption of the catalogue, 63 to 8000 Hz: {values}").classes("small")
 
     async def _change(self, action: Callable[[], None]) -> None:
-        with saying_errors(self.both):
+        with elements.saying_errors(self.both):
             action()
             found = await self.bench.ask("room_view")
             names = [m["name"] for m in found["materials"]]
@@ -192,7 +183,7 @@ class RoomStart:
 
     def show(self, has_campaign: bool) -> None:
         """Draw it, unless it is drawn for a project of this kind already."""
-        if not emptied(self.place, has_campaign):
+        if not elements.emptied(self.place, has_campaign):
             return
         self.asked, self.file = {"unit": None, "space": ""}, ""
         with self.place:
@@ -203,30 +194,32 @@ class RoomStart:
                 return
             with ui.element("div").classes("two"):
                 with ui.element("div").classes("panel"):
-                    heading("Begin with your room")
+                    elements.heading("Begin with your room")
                     self._draw_file()
-                    heading("or type a box")
+                    elements.heading("or type a box")
                     self._draw_lengths()
                 with ui.element("div").classes("panel"):
-                    heading("or look around first")
+                    elements.heading("or look around first")
                     ui.label(_DEMO)
                     demo = partial(self.bench.add, "Demo project", "demo")
                     ui.button("Open the demo project", on_click=demo).props("no-caps")
 
     def _draw_file(self) -> None:
-        file_drop("Room file, dropped here or chosen:", "room", READERS, self._use_file)
+        elements.file_drop("Room file, dropped here or chosen:", "room", READERS, self._use_file)
         units: dict[str | None, str] = {None: "as the file says", **{u: u for u in METRES_PER_UNIT}}
         with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-            field(self.asked, "unit", "Unit", units, style="width: 11rem", then=self._use_file)
+            elements.field(
+                self.asked, "unit", "Unit", units, style="width: 11rem", then=self._use_file
+            )
             typed = {"space": ""}
-            name = field(typed, "space", "Which room, of several")
-            on_entered(name, lambda: self._choose_space(typed["space"].strip()))
+            name = elements.field(typed, "space", "Which room, of several")
+            elements.on_entered(name, lambda: self._choose_space(typed["space"].strip()))
 
     def _draw_lengths(self) -> None:
         lengths: dict[str, Any] = dict(_LENGTHS_M)
         with ui.element("div").classes("bar"):
             for name in lengths:
-                field(lengths, name, name, style="width: 8rem", min=0.1, step=0.1)
+                elements.field(lengths, name, name, style="width: 8rem", min=0.1, step=0.1)
             box = ui.button(
                 "Use this box",
                 on_click=lambda: self._use(shoebox=[own or 0.0 for own in lengths.values()]),
@@ -246,6 +239,6 @@ class RoomStart:
             await self._use(file=self.file)
 
     async def _use(self, **room: Any) -> None:
-        with saying_errors(self.place):
+        with elements.saying_errors(self.place):
             await self.bench.ask("set_room", **self.asked, **room)
             await self.then()

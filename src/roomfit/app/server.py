@@ -31,12 +31,7 @@ from roomfit.app.security import Door, Guard
 from roomfit.base.door import limit
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.cli.terminal import say
-from roomfit.files.responses.sweep import (
-    SweepPlan,
-    check_not_measured,
-    excitation,
-    response_name,
-)
+from roomfit.files.responses import sweep
 
 _SHOWN_AS_PAGE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 _FIRST_PORT, _PORTS = 8321, 20
@@ -66,7 +61,7 @@ def application(bench: Bench, door: Door) -> Guard:
     @app.get("/sweeps")
     async def sweeps(request: Request) -> Response:
         """Give what is to be played, as 32-bit floating point numbers."""
-        played = await asyncio.to_thread(excitation, _asked(bench.folder, request)[0])
+        played = await asyncio.to_thread(sweep.excitation, _asked(bench.folder, request)[0])
         return Response(played.astype("<f4").tobytes(), media_type="application/octet-stream")
 
     @app.put("/upload/measured")
@@ -114,27 +109,27 @@ async def _received(folder: Path, name: str, request: Request) -> AsyncIterator[
         shutil.rmtree(waiting, ignore_errors=True)
 
 
-def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
+def _asked(folder: Path, request: Request) -> tuple[sweep.SweepPlan, str, str]:
     """Return what a page asks to measure: how, the source and the receiver."""
     asked = request.query_params
     try:
         rate_hz, seconds, silence_s = (float(asked[k]) for k in ("rate_hz", "seconds", "silence_s"))
-        plan = SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
+        plan = sweep.SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
         source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
     except (KeyError, ValueError, OverflowError) as error:
         what, found = "a measurement is four numbers and two names", str(error)[:80]
         needed = "rate_hz, seconds, silence_s, repetitions, source and receiver"
         hint = "reload the page, and start the measurement from it"
         raise InputError(what, found=found, needed=needed, hint=hint) from None
-    place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
-    check_not_measured(place, again=again)
+    place = project.upload_place(folder, project.RECORDINGS, sweep.response_name(source, receiver))
+    sweep.check_not_measured(place, again=again)
     return plan, source, receiver
 
 
 async def _measure(bench: Bench, request: Request) -> dict[str, object]:
     """Take what a page has recorded; the response comes to the recordings, its quality back."""
     plan, source, receiver = _asked(bench.folder, request)
-    name = response_name(source, receiver)
+    name = sweep.response_name(source, receiver)
     place = bench.folder / project.RECORDINGS / name
     async with _received(bench.folder, "recorded", request) as recorded:
         file = recorded.with_name(name)

@@ -10,15 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from roomfit.base import whole_files
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import located
 from roomfit.base.typing import Progress, part
-from roomfit.base.whole_files import (
-    check_output_folder,
-    sole_writer,
-    whole_output_folder,
-    write_text_atomically,
-)
 from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
@@ -56,7 +51,7 @@ def run(*, campaign_file: Path, out: Path, **how: Any) -> None:
         identify_to_folder(campaign_file, out, progress=progress, answered=show, **how)
 
 
-@sole_writer
+@whole_files.sole_writer
 @reading_noted()
 def identify_to_folder(
     campaign_file: Path,
@@ -77,7 +72,9 @@ def identify_to_folder(
     where the campaign, the room, a response or the output folder is invalid,
     `InsufficientDataError` where the data cannot be fitted at all.
     """
-    check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
+    whole_files.check_output_folder(
+        out, overwrite=overwrite
+    )  # now rather than after minutes of work
     campaign = read_campaign(campaign_file)
     project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign, between_hz)
@@ -98,9 +95,9 @@ def identify_to_folder(
     if answered is not None:
         answered(shown, advised=bool(advised))
     _LOG.info("drawing")
-    with whole_output_folder(out, overwrite=overwrite) as folder:
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs, remaining_usable(answer))
-        write_text_atomically(folder / "report.html", page(shown))
+        whole_files.write_text_atomically(folder / "report.html", page(shown))
         if not quick:
             from roomfit.report.figures import write_pictures  # matplotlib, which this first needs
 

@@ -12,15 +12,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import make_folder, write_bytes_atomically
 from roomfit.cli.terminal import say
-from roomfit.files.responses.sweep import (
-    SweepPlan,
-    SweepResponse,
-    check_not_measured,
-    excitation,
-    response_from_recording,
-    response_name,
-    wav_bytes,
-)
+from roomfit.files.responses import sweep
 from roomfit.files.sound_card import SoundCard, sounddevice
 
 
@@ -42,7 +34,7 @@ def measure(
         what, found = "a measurement needs a folder and two names", shlex.join(sys.argv[1:])
         needed = "roomfit measure FOLDER --source S1 --receiver R1"
         raise InputError(what, found=found, needed=needed, hint="roomfit measure --help")
-    plan = SweepPlan(**planned)
+    plan = sweep.SweepPlan(**planned)
     own = (int(x) if x is not None and x.isdecimal() else x for x in (device, output))
     card = SoundCard(sounddevice(), *own)
     say(f"playing and recording for {plan.length_s:.0f} s: keep still")
@@ -60,11 +52,11 @@ def measure_to_folder(
     folder: Path,
     source: str,
     receiver: str,
-    plan: SweepPlan,
+    plan: sweep.SweepPlan,
     play_and_record: Callable[[FloatArray, float], tuple[FloatArray, tuple[str, ...]]],
     *,
     again: bool = False,
-) -> SweepResponse:
+) -> sweep.SweepResponse:
     """Measure a pair and write its impulse response as ``SOURCE_RECEIVER.wav``, 32-bit float.
 
     `play_and_record`, as a `SoundCard`, takes what is played, shape (n_samples,), and its sampling
@@ -72,10 +64,10 @@ def measure_to_folder(
     `again` replaces the response of this pair. `InputError`, and nothing written, where a name or
     the recording is of no use, or the pair was measured already.
     """
-    path = folder / response_name(source, receiver)
-    check_not_measured(path, again=again)
-    recorded, reported = play_and_record(excitation(plan), plan.sampling_rate_hz)
-    measured = response_from_recording(plan, recorded, reported)
+    path = folder / sweep.response_name(source, receiver)
+    sweep.check_not_measured(path, again=again)
+    recorded, reported = play_and_record(sweep.excitation(plan), plan.sampling_rate_hz)
+    measured = sweep.response_from_recording(plan, recorded, reported)
     make_folder(folder)
-    write_bytes_atomically(path, wav_bytes(measured.response))
+    write_bytes_atomically(path, sweep.wav_bytes(measured.response))
     return measured

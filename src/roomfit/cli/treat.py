@@ -7,15 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from roomfit.base import whole_files
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, located
 from roomfit.base.typing import Progress, part
-from roomfit.base.whole_files import (
-    check_output_folder,
-    sole_writer,
-    whole_output_folder,
-    write_text_atomically,
-)
 from roomfit.design.campaign import design_arguments
 from roomfit.design.output import chosen_positions, write_design
 from roomfit.design.positions import Design, design
@@ -37,7 +32,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 _LOG = logging.getLogger("roomfit")
 
 
-@sole_writer
+@whole_files.sole_writer
 @reading_noted()
 def treat_to_folder(
     campaign_file: Path,
@@ -51,7 +46,7 @@ def treat_to_folder(
     progress: Progress | None = None,
 ) -> Treatment:
     """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder."""
-    check_output_folder(out, overwrite=overwrite)
+    whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
@@ -78,11 +73,11 @@ def treat_to_folder(
         to_measure = _what_to_measure(campaign, found, answer, part(progress, 0.9, 1.0))
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
     shown = describe(answer)
-    with whole_output_folder(out, overwrite=overwrite) as folder:
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures  # matplotlib: not before it draws
 
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
-        write_text_atomically(folder / "treatment.html", page(shown))
+        whole_files.write_text_atomically(folder / "treatment.html", page(shown))
         write_pictures(folder, shown, png_too=png)
     return answer
 
@@ -121,7 +116,7 @@ def _what_to_measure(
     return tuple(lines)
 
 
-@sole_writer
+@whole_files.sole_writer
 @reading_noted()
 def design_to_folder(
     campaign_file: Path,
@@ -137,14 +132,14 @@ def design_to_folder(
 
     `wanted` are those of `roomfit.DesignOptions`, None where its default holds.
     """
-    check_output_folder(out, overwrite=overwrite)
+    whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = None if result is None else read_result(result)
     given = {name: value for name, value in wanted.items() if value is not None}
     arguments = design_arguments(campaign, found, given)
     with located(str(campaign_file)):
         answer = design(**arguments, progress=part(progress, 0.0, 0.98))
-    with whole_output_folder(out, overwrite=overwrite) as folder:
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures
 
         write_design(folder, answer, files_read())

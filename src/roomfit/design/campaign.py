@@ -8,14 +8,8 @@ from typing import Any
 
 from roomfit.base.errors import located
 from roomfit.design.candidates import DesignOptions
+from roomfit.files import inputs
 from roomfit.files.campaign import Campaign
-from roomfit.files.inputs import (
-    campaign_room,
-    campaign_scene,
-    read_measurements,
-    room_priors,
-    source_directivities,
-)
 from roomfit.room.scene import Scene, named_pairs
 from roomfit.uncertainty.other_room import common_bands, room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -38,21 +32,21 @@ def design_arguments(
     changed : mapping of option to value, optional
         Fields of `DesignOptions` that stand instead of the campaign's.
     """
-    room = campaign_room(campaign)
+    room = inputs.campaign_room(campaign)
     bands, absorption = campaign.bands, None
-    priors = room_priors(campaign, room)
+    priors = inputs.room_priors(campaign, room)
     if result is not None:
         with located(f"{campaign.path}, identify"):
             bands, doubts = common_bands(campaign.bands, result.bands)
-        priors = room_priors(campaign, room, bands)
+        priors = inputs.room_priors(campaign, room, bands)
         with located(str(campaign.path)):
             absorption = replace(room_posterior(result, priors, bands), findings=doubts)
     return {
-        "scene": _measured_scene(campaign, campaign_scene(campaign, room)),
+        "scene": _measured_scene(campaign, inputs.campaign_scene(campaign, room)),
         "materials": priors,
         "bands": bands,
         "absorption": absorption,
-        "directivities": source_directivities(campaign, bands),
+        "directivities": inputs.source_directivities(campaign, bands),
         "options": DesignOptions(
             **{**_options(campaign, after_fit=result is not None), **(changed or {})}
         ),
@@ -63,7 +57,7 @@ def design_arguments(
 def _measured_scene(campaign: Campaign, scene: Scene) -> Scene:
     """Return all sources and receivers of a campaign, and the pairs measured to be fitted."""
     names = {(m.source, m.receiver) for m in campaign.measurements if m.use == "fit"}
-    tables = read_measurements(campaign.with_rows(campaign.tables))
+    tables = inputs.read_measurements(campaign.with_rows(campaign.tables))
     names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
     return named_pairs(scene, names)
 

@@ -31,14 +31,7 @@ from roomfit.model.windows import window_edges_s
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, distances_m, select_pairs
 from roomfit.settings import Settings
-from roomfit.signals.filters import (
-    SpreadingKernel,
-    spreading_kernel,
-    spreading_matrix,
-    spreading_reach_s,
-    spreading_slopes_per_s,
-    statistical_bandwidth_hz,
-)
+from roomfit.signals import filters
 from roomfit.tracing.paths import Paths, TraceSettings, concatenate, paths_of_pairs, select
 from roomfit.tracing.trace import trace
 
@@ -61,7 +54,7 @@ class _ExpectedFit(NamedTuple):
     options: DesignOptions
     directivities: Directivities
     plan: TracePlan
-    kernel: SpreadingKernel
+    kernel: filters.SpreadingKernel
 
 
 def information_of_candidates(
@@ -121,7 +114,7 @@ def _expected_fit(
     crossings = np.pi * own.receiver_radius_m**2 * length_m / volume_m3(scene.room.mesh)
     affordable = int(_MOST_CAUGHT / (crossings * int(np.bincount(scene.pairs[:, 0]).max())))
     own = replace(own, n_rays=min(own.n_rays, max(affordable, _FEWEST_RAYS)))
-    plan, kernel = replace(plan, settings=own), spreading_kernel(known.bands)
+    plan, kernel = replace(plan, settings=own), filters.spreading_kernel(known.bands)
     return _ExpectedFit(scene, known, options, directivities, plan, kernel)
 
 
@@ -206,7 +199,7 @@ def _expected_term(
     """
     c, bands, kernel = speed_of_sound_m_s(alone.air), fit.known.bands, fit.kernel
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-    width_hz = float(statistical_bandwidth_hz(one)[0])
+    width_hz = float(filters.statistical_bandwidth_hz(one)[0])
     air = attenuation_per_m(alone.air, one)
     energy = weigh(rows, fit.known.typical[:, band : band + 1], air)[0]
     usable_s, noise_per_s = _expected_noise(energy, edges_s, fit.options.decay_range_db)
@@ -214,7 +207,7 @@ def _expected_term(
     edges = window_edges_s(direct_s, usable_s, width_hz, periods=_WINDOW_PERIODS)
     fine = fine_edges_s(edges, width_hz)
     centres = 0.5 * (edges_s[1:] + edges_s[:-1])
-    reach_s = spreading_reach_s(kernel, band)
+    reach_s = filters.spreading_reach_s(kernel, band)
     bin_centres_s = centres[: int(np.searchsorted(centres, edges[-1] + reach_s))]
     noise = noise_per_s * np.diff(edges)
     observed = Observation(
@@ -222,10 +215,10 @@ def _expected_term(
         edges,
         noise,
         noise,
-        spreading_matrix(kernel, band, bin_centres_s, edges),
+        filters.spreading_matrix(kernel, band, bin_centres_s, edges),
         fine,
-        spreading_matrix(kernel, band, bin_centres_s, fine),
-        spreading_slopes_per_s(kernel, band, bin_centres_s, edges),
+        filters.spreading_matrix(kernel, band, bin_centres_s, fine),
+        filters.spreading_slopes_per_s(kernel, band, bin_centres_s, edges),
         float(np.sqrt(2.0) * fit.options.position_sd_m / c),
         0,
     )

@@ -18,35 +18,14 @@ from roomfit.base.door import check_files, read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
+from roomfit.files import schema
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.directivity import read_directivity
 from roomfit.files.responses import read_response
 from roomfit.files.rooms import read_mesh, read_room
-from roomfit.files.schema import (
-    AreaPrior,
-    Campaign,
-    MaterialTable,
-    MeasurementTable,
-    ObjectTable,
-    Prior,
-    ProjectTable,
-    RoomSpec,
-    SharedDirectivity,
-    SourceDirectivity,
-    Spectrum,
-    the_one,
-)
 from roomfit.files.schema import Directivity as FirstOrderTable
 from roomfit.files.values import read_parameters
-from roomfit.materials.catalogue import (
-    SEATS,
-    broad_prior_findings,
-    catalogue_prior,
-    find_material,
-    material_prior,
-    object_catalogue_area,
-    product_findings,
-)
+from roomfit.materials import catalogue
 from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands, object_prior
 from roomfit.model.patterns import Directivity, UnknownDirectivity, aimed, unit_vector
 from roomfit.room.audience import audience_area_m2, points_on
@@ -70,7 +49,7 @@ from roomfit.signals.speech import speech_levels
 
 
 def source_directivities(
-    campaign: Campaign, bands: Bands
+    campaign: schema.Campaign, bands: Bands
 ) -> dict[str, Directivity | UnknownDirectivity]:
     """Return the directivity of every source that is not omnidirectional."""
     found = {}
@@ -82,7 +61,7 @@ def source_directivities(
 
 
 def _directivity(
-    campaign: Campaign, table: SourceDirectivity, bands: Bands
+    campaign: schema.Campaign, table: schema.SourceDirectivity, bands: Bands
 ) -> Directivity | UnknownDirectivity:
     folder = campaign.path.parent
     if isinstance(table, str):
@@ -90,7 +69,7 @@ def _directivity(
     if isinstance(table, FirstOrderTable):
         known = aimed(table.aim, table.b)
         return UnknownDirectivity(known.b, table.b_sd) if table.b_sd > 0.0 else known
-    if isinstance(table, SharedDirectivity):
+    if isinstance(table, schema.SharedDirectivity):
         shared = campaign.loudspeakers[table.loudspeaker]
         if shared.directivity == "fit":
             return UnknownDirectivity(None, shared.b_sd, unit_vector(table.aim), table.loudspeaker)
@@ -100,7 +79,7 @@ def _directivity(
 
 
 def material_priors(
-    campaign: Campaign,
+    campaign: schema.Campaign,
     materials: tuple[str, ...],
     mesh: Mesh | None = None,
     bands: Bands | None = None,
@@ -121,7 +100,7 @@ def material_priors(
 
 
 def object_areas_m2(
-    campaign: Campaign, name: str, mesh: Mesh | None, bands: Bands
+    campaign: schema.Campaign, name: str, mesh: Mesh | None, bands: Bands
 ) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
     """Return the absorption area of all pieces of an object in m2: known, or mean and sd."""
     table, ways = campaign.objects[name], ("count", "floor_area_m2", "outlines")
@@ -131,12 +110,12 @@ def object_areas_m2(
     with located(f"objects.{name}"):
         if sum(getattr(table, way) is not None for way in ways) > 1:
             hint = "keep what the object's absorption was measured by"
-            the_one(table, ways, "an object is measured in two ways", "", hint)
+            schema.the_one(table, ways, "an object is measured in two ways", "", hint)
         n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
         if isinstance(known, str):
-            known = object_catalogue_area(known, bands, by_floor=by_floor)[0].tolist()
+            known = catalogue.object_catalogue_area(known, bands, by_floor=by_floor)[0].tolist()
         if isinstance(prior, str):
-            law = object_catalogue_area(prior, bands, by_floor=by_floor)
+            law = catalogue.object_catalogue_area(prior, bands, by_floor=by_floor)
         elif prior is not None:
             law = _mean_and_sd(prior, bands)
         if table.outlines is not None:
@@ -149,7 +128,7 @@ def object_areas_m2(
     return found, (mean_m2, sd_m2)
 
 
-def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
+def _blocks_m2(table: schema.ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
     """Return the area of an object's blocks of seats, and that with strips along free edges."""
     if mesh is None:
         what = "outlines of seats without a room"
@@ -159,7 +138,7 @@ def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
     return audience_area_m2(mesh, outlines, table.edge_m)
 
 
-def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
+def audience_findings(campaign: schema.Campaign, room: Room) -> tuple[Finding, ...]:
     """Return what area seats and audience absorb with, as blocks and as faces of the drawing."""
     found = []
     seats = {name: entry for name, table in campaign.materials.items() if (entry := _seats(table))}
@@ -200,25 +179,25 @@ def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _seats(table: MaterialTable) -> str:
+def _seats(table: schema.MaterialTable) -> str:
     """Return the entry of the catalogue that a material has if that is of seats, else ""."""
     named = [x for x in (table.absorption, table.prior) if isinstance(x, str)]
-    return named[0] if named and find_material(named[0]).group == SEATS else ""
+    return named[0] if named and catalogue.find_material(named[0]).group == catalogue.SEATS else ""
 
 
 def _material_prior(
-    campaign: Campaign, table: MaterialTable, name: str, bands: Bands
+    campaign: schema.Campaign, table: schema.MaterialTable, name: str, bands: Bands
 ) -> MaterialPrior:
     where, known = f"materials.{name}", cast("Any", table.absorption)
     if isinstance(known, str):
         with located(f"{where}.absorption"):
-            known, _ = catalogue_prior(known, bands)
+            known, _ = catalogue.catalogue_prior(known, bands)
     # what is known of a product is stated with it
     product = None if table.product is None else campaign.products[table.product]
     stated = table if product is None else product
     prior = stated.prior
     with nullcontext() if product is None else located(f"products.{table.product}"):
-        found = material_prior(
+        found = catalogue.material_prior(
             name,
             bands,
             absorption=in_these(known, bands, f"{where}.absorption"),
@@ -233,7 +212,9 @@ def _material_prior(
     return replace(found, product=table.product, product_sd=product.sd)
 
 
-def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
+def _mean_and_sd(
+    prior: schema.Prior | schema.AreaPrior, bands: Bands
+) -> tuple[ArrayLike, ArrayLike]:
     if prior.centres_hz is None:
         return prior.mean, prior.sd
     mean, sd = (
@@ -247,7 +228,7 @@ def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, Arr
 
 def in_these(given: Any, bands: Bands, where: str) -> Any:
     """Return the values of a spectrum at the bands; anything else as it is."""
-    if not isinstance(given, Spectrum):
+    if not isinstance(given, schema.Spectrum):
         return given
     return _interpolated(given.centres_hz, given.values, bands, where)
 
@@ -272,7 +253,7 @@ def _interpolated(
     return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(values)[order]))
 
 
-def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues, ...]:
+def read_measurements(campaign: schema.Campaign) -> tuple[Measurement | MeasuredValues, ...]:
     """Return everything that a campaign file names as measured, responses first."""
     if campaign.spectra:
         raise InputError(
@@ -299,7 +280,7 @@ def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues,
     return (*map(read_file, campaign.measurements), *found)
 
 
-def read_file(file: MeasurementTable) -> Measurement:
+def read_file(file: schema.MeasurementTable) -> Measurement:
     """Read one impulse response that a campaign names, with what is doubtful about it."""
     spec = file.response
     response, findings = read_response(spec)
@@ -370,7 +351,7 @@ def load_campaign(path: Path | str) -> IdentifyArguments:
 
 
 def identify_arguments(
-    campaign: Campaign, between_hz: tuple[float, float] | None = None
+    campaign: schema.Campaign, between_hz: tuple[float, float] | None = None
 ) -> IdentifyArguments:
     """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`.
 
@@ -396,7 +377,7 @@ def identify_arguments(
     }
 
 
-def campaign_room(campaign: Campaign) -> Room:
+def campaign_room(campaign: schema.Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
     room, findings = read_room(campaign.room)
     with located(str(campaign.path)):
@@ -408,7 +389,7 @@ def campaign_room(campaign: Campaign) -> Room:
 
 
 def room_priors(
-    campaign: Campaign, room: Room, bands: Bands | None = None
+    campaign: schema.Campaign, room: Room, bands: Bands | None = None
 ) -> tuple[MaterialPrior, ...]:
     """Return what is said of each of the room's materials, in some of the campaign's bands."""
     priors = material_priors(campaign, room.materials, room.mesh)
@@ -417,30 +398,30 @@ def room_priors(
     return in_bands(priors, np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz)))
 
 
-def speech_db(campaign: Campaign) -> FloatArray | None:
+def speech_db(campaign: schema.Campaign) -> FloatArray | None:
     """Return octave levels of speech and noise, shape (2, 7), None where none are stated."""
     speech = campaign.speech
     return speech_levels(speech.level_dba, speech.noise_db) if speech else None
 
 
-def _furnished(room: Room, campaign: Campaign) -> Room:
+def _furnished(room: Room, campaign: schema.Campaign) -> Room:
     return with_objects(room, {name: table.states for name, table in campaign.objects.items()})
 
 
-def campaign_scene(campaign: Campaign, room: Room) -> Scene:
+def campaign_scene(campaign: schema.Campaign, room: Room) -> Scene:
     """Return every source with every receiver that a campaign defines."""
     sources, receivers = campaign.sources, campaign.receivers
     pairs = np.indices((len(sources), len(receivers)), dtype=np.int64).reshape(2, -1).T
     return Scene(room, sources, receivers, pairs, campaign.air, groups=campaign.groups)
 
 
-def check_room(spec: RoomSpec) -> RoomCheck:
+def check_room(spec: schema.RoomSpec) -> RoomCheck:
     """Read a room and return all its faults."""
     mesh, findings = read_mesh(spec)
     return check_mesh(mesh, spec.materials, findings)
 
 
-def check_campaign(campaign: Campaign) -> RoomCheck:
+def check_campaign(campaign: schema.Campaign) -> RoomCheck:
     """Return all faults of a campaign's room and of the positions of sources and receivers.
 
     Measured files are not opened. Positions are checked once the room itself has no fault.
@@ -452,7 +433,7 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
         return check
     room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
     priors = room_priors(campaign, room)
-    assumed = (*broad_prior_findings(priors), *product_findings(priors))
+    assumed = (*catalogue.broad_prior_findings(priors), *catalogue.product_findings(priors))
     assumed += audience_findings(campaign, room)
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
@@ -461,7 +442,7 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
 _LOGOS = {"png": b"\x89PNG\r\n\x1a\n", "jpeg": b"\xff\xd8\xff"}
 
 
-def project_details(own: ProjectTable, folder: Path) -> dict[str, str]:
+def project_details(own: schema.ProjectTable, folder: Path) -> dict[str, str]:
     """Return what a project says, as `roomfit.report_html` takes it, the logo as a data URL.
 
     `folder`: that of the campaign, where the logo is looked for.

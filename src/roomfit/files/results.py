@@ -26,16 +26,7 @@ from roomfit.base.logit import logit
 from roomfit.base.table import csv_of, without_apostrophe
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.base.whole_files import nearest_existing, write_json_atomically, write_text_atomically
-from roomfit.files.encoding import (
-    ResultFile,
-    digest_findings,
-    finding_content,
-    finding_of,
-    numbers_or_null,
-    path_of,
-    provenance,
-    written_content,
-)
+from roomfit.files import encoding
 from roomfit.files.tables import number_in
 from roomfit.materials.priors import object_absorption
 from roomfit.result import ComparedPair, Result, absorption_posterior, fitted_pair
@@ -124,7 +115,7 @@ def material_table_of(result: Result) -> MaterialTable:
     return MaterialTable(result.materials, result.bands, **columns)
 
 
-def read_result(file: ResultFile) -> AbsorptionPosterior:
+def read_result(file: encoding.ResultFile) -> AbsorptionPosterior:
     """Return the absorption of a result with its posterior.
 
     A ``result.json`` holds the covariance between materials; from an ``absorption.csv``, or a
@@ -157,7 +148,7 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
     table, content = read_materials(file)
     for doubt in table.findings:
         _LOG.warning("%s: %s", doubt.severity, doubt.sentence)
-    with located(str(path_of(file))), complete("result", _WHOLE):
+    with located(str(encoding.path_of(file))), complete("result", _WHOLE):
         volumes_m3, (value, low, high) = _with_objects(table, content)
         posterior, fit = content.get("posterior", {}), content.get("fit", {})
         own: dict[str, Any] = {
@@ -169,7 +160,7 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         fitted = [pair for pair in content.get("pairs", ()) if pair["use"] == "fit"]
         areas = [content.get("materials", {}).get(n, {}).get("area_m2") for n in table.names]
         scattering, of_objects = table.scattering, np.zeros((len(volumes_m3), len(table.bands)))
-        found = [finding_of(one, "findings") for one in content.get("findings", ())]
+        found = [encoding.finding_of(one, "findings") for one in content.get("findings", ())]
         return AbsorptionPosterior(
             (*table.names, *volumes_m3),
             table.bands,
@@ -238,10 +229,10 @@ def _directivities(by_source: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+def read_result_content(file: encoding.ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Return the content of a ``result.json`` of this version, and what its digest says of it."""
-    content, findings = written_content(file, "result")
-    with located(str(path_of(file))), complete("result", _WHOLE):
+    content, findings = encoding.written_content(file, "result")
+    with located(str(encoding.path_of(file))), complete("result", _WHOLE):
         own = content if isinstance(content, dict) else {}
         stated = own.get("format"), own.get("format_version")
         if stated != ("roomfit-result", 1):
@@ -265,12 +256,12 @@ def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding
     return content, findings
 
 
-def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
+def read_materials(file: encoding.ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
     """Return the materials of a ``result.json``, with its content, or of an ``absorption.csv``."""
-    path = path_of(file)
+    path = encoding.path_of(file)
     if path.suffix.lower() == ".csv":
         text = read_text(path, "result")
-        findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
+        findings = encoding.digest_findings(file, "table", text_digest(text), _digest_beside(path))
         with located(str(path), hint="export the table again, or give the result.json beside it"):
             return replace(_from_csv(text), findings=findings), {}
     content, findings = read_result_content(file)
@@ -296,7 +287,7 @@ def text_digest(text: str) -> str:
 def _digest_beside(path: Path) -> object:
     """Return the digest of a file that the result beside it states; None without such a result."""
     with suppress(RoomfitError, AttributeError):
-        content, doubts = written_content(path.with_name("result.json"), "result")
+        content, doubts = encoding.written_content(path.with_name("result.json"), "result")
         return None if doubts else content.get("files_sha256", {}).get(path.name)
     return None
 
@@ -405,12 +396,12 @@ def result_content(
         "objects": _objects(answer),
         "combinations": _combinations(answer),
         "pairs": [_pair(p, answer.bands) for p in answer.pairs],
-        "findings": [finding_content(f) for f in answer.findings],
+        "findings": [encoding.finding_content(f) for f in answer.findings],
         "fit": _fit(answer),
         "plan": answer.plan or None,
         "settings": answer.settings.changed(),
         "trace": answer.trace or None,
-        "provenance": provenance(inputs)
+        "provenance": encoding.provenance(inputs)
         | {
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
@@ -419,7 +410,7 @@ def result_content(
         "remains": {
             "void": [code.value for code in remains.codes],
             "mean_usable": [bool(b) for b in remains.mean_usable],
-            "decay_error": numbers_or_null(remains.decay_error),
+            "decay_error": encoding.numbers_or_null(remains.decay_error),
             "decay_parameter": remains.decay_name or None,
             "void_but_identifiable_by_rule": remains.taken,
         }
@@ -450,7 +441,10 @@ def _without(costs: Sequence[Mapping[str, Any]], decimals: int) -> list[dict[str
     if not any(costs):
         return None
     return [
-        {name or "nothing": numbers_or_null(np.round(sd, decimals)) for name, sd in band.items()}
+        {
+            name or "nothing": encoding.numbers_or_null(np.round(sd, decimals))
+            for name, sd in band.items()
+        }
         for band in costs
     ]
 
@@ -551,7 +545,7 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
 
         curves = (pair.decay.measured_db, pair.decay.predicted_db)
         sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
-    known = dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))
+    known = dict(zip(("measured", "predicted"), encoding.numbers_or_null(sti), strict=True))
     columns = {"measured": "measured", "predicted": "predicted", "jnd": "jnd"}
     columns |= {"mean_of_others": "null", "diffuse_field": "diffuse"}
     content = {
@@ -562,7 +556,7 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
         "distance_m": None if np.isnan(pair.distance_m) else round(pair.distance_m, 4),
         "parameters": {
             name: {
-                key: numbers_or_null(values)
+                key: encoding.numbers_or_null(values)
                 for key, own in columns.items()
                 if (values := getattr(c, own)) is not None
             }

@@ -538,9 +538,8 @@ def _first_sheet(book: zipfile.ZipFile) -> str:
 
 def _column(reference: str, following: int) -> int:
     """Return the number of a cell's column, from 0; the following one where it names none."""
-    letters = re.match(r"[A-Z]*", reference)
     column = 0
-    for letter in letters[0] if letters else "":
+    for letter in re.findall(r"[A-Z]", reference):
         column = 26 * column + ord(letter) - ord("A") + 1
     if column > _MOST_COLUMNS:
         raise ValueError(f"a cell {reference[:20]}")

@@ -32,16 +32,11 @@ from roomfit.files.tables import (
     words_of,
 )
 from roomfit.formats.model import METRES_PER_UNIT
-from roomfit.signals.iso3382 import (
-    VALUE_NAMES,
-    MeasuredValues,
-    ValueName,
-    check_possible,
-    contradiction_findings,
-    joined_values,
-)
+from roomfit.signals import iso3382
 
-_PARAMETERS: dict[str, ValueName] = {name.partition("_")[0].upper(): name for name in VALUE_NAMES}
+_PARAMETERS: dict[str, iso3382.ValueName] = {
+    name.partition("_")[0].upper(): name for name in iso3382.VALUE_NAMES
+}
 _NEVER_ZERO = ("T20_s", "T30_s", "EDT_s", "TS_ms")
 _PAIR = ("source", "receiver", "parameter")
 _NEEDED = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
@@ -266,7 +261,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
 
 def read_parameters(
     path: Path, source: str | None = None, receiver: str | None = None
-) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[iso3382.MeasuredValues, ...], tuple[Finding, ...]]:
     """Read measured room parameters.
 
     A line ``source,receiver,parameter,125,250,...`` with nominal centres in Hz, in any order and
@@ -329,24 +324,26 @@ def read_parameters(
             needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
             hint="write source and receiver as the campaign has them: S,R,T30,0.9,...",
         )
-    found: list[MeasuredValues] = []
+    found: list[iso3382.MeasuredValues] = []
     findings = [*left_out(path, "room parameters", {"rows": left, "columns": others})]
     centres_hz = np.array(sorted({hz for row in rows for hz in row.cells}))
     for pair in chosen:
         repeated = _repeated(pair, by_pair[pair], centres_hz)
         with located(f"{path}, {pair[0]} to {pair[1]}"):
-            values, doubts = joined_values(repeated)
-        findings += [*doubts, *contradiction_findings(values, str(path))]
+            values, doubts = iso3382.joined_values(repeated)
+        findings += [*doubts, *iso3382.contradiction_findings(values, str(path))]
         found.append(values)
     return tuple(found), tuple(findings)
 
 
 def _repeated(
     pair: tuple[str, str], rows: list[BandRow], centres_hz: FloatArray
-) -> tuple[MeasuredValues, ...]:
+) -> tuple[iso3382.MeasuredValues, ...]:
     """Return the measurements of one pair: each repetition of a parameter is another one."""
     counts: Counter[tuple[str, bool]] = Counter()
-    tables: list[tuple[dict[ValueName, FloatArray], dict[ValueName, FloatArray]]] = []
+    tables: list[
+        tuple[dict[iso3382.ValueName, FloatArray], dict[iso3382.ValueName, FloatArray]]
+    ] = []
     for row in rows:
         parameter = row.names[2].upper()
         plain = parameter.removesuffix("_SD")
@@ -362,7 +359,7 @@ def _repeated(
         for hz, value in zip(centres_hz.tolist(), values.tolist(), strict=True):
             place = row.cells.get(hz, ("", row.where))[1]
             if not np.isnan(value) and not is_spread:
-                check_possible(name, value, place)
+                iso3382.check_possible(name, value, place)
             elif value < 0.0:
                 what, hint = "a standard deviation below zero", "leave the cell empty"
                 raise InputError(
@@ -373,4 +370,4 @@ def _repeated(
         if number == len(tables):
             tables.append(({}, {}))
         tables[number][is_spread][name] = values
-    return tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables)
+    return tuple(iso3382.MeasuredValues(*pair, centres_hz, v, s) for v, s in tables)

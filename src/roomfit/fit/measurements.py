@@ -18,15 +18,7 @@ from roomfit.room.inside import is_in_sight
 from roomfit.room.mesh import refuse
 from roomfit.room.scene import NEAREST_PAIR_M, Scene, distances_m, pair_names, position_findings
 from roomfit.settings import DECAY_RANGE_DB
-from roomfit.signals.decay import (
-    DecayCurve,
-    ParameterName,
-    check_decay_range,
-    check_is_response,
-    decay_curve,
-    range_findings,
-    room_parameters,
-)
+from roomfit.signals import decay
 from roomfit.signals.filters import check_sampling_rate, filter_pressure
 from roomfit.signals.iso3382 import MeasuredValues, joined_values
 from roomfit.signals.measurement import MeasuredPair, Measurement, Use
@@ -170,7 +162,7 @@ def recording_findings(scene: Scene, measured: Sequence[MeasuredPair]) -> tuple[
         if not own:  # arrays: no reader has looked at them
             own += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
         read += own
-        own = [*range_findings(p.parameters, name)]
+        own = [*decay.range_findings(p.parameters, name)]
         if m.time_zero != "direct":
             onset_s, stated = find_onset(p.response, m.where), m.time_zero == "emission"
             ends_m = at_m[0][m.source], at_m[1][m.receiver]
@@ -204,7 +196,7 @@ def on_one_clock(
                 needed="one sampling rate in a campaign, since one equipment measured it",
                 hint="check that no file was saved at a wrong rate; resample those that were not",
             )
-        check_is_response(m.response, m.where)
+        decay.check_is_response(m.response, m.where)
     measured = []
     for m, pair, direct_s, response in zip(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
@@ -214,15 +206,15 @@ def on_one_clock(
         # the decay of a file with a wrong clock is what it is
         start_s = onset_s if abs(onset_s - direct_s) * c > SERIOUS_M else direct_s
         noise = estimate_noise(bands, response, filter_pressure(bands, response), start_s)
-        curve = decay_curve(bands, response, start_s)
-        parameters = room_parameters(curve)
-        check_decay_range(curve, m.where)
+        curve = decay.decay_curve(bands, response, start_s)
+        parameters = decay.room_parameters(curve)
+        decay.check_decay_range(curve, m.where)
         end_s = fit_ends_s(noise, curve, decay_range_db)
         measured.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters, end_s))
     return tuple(measured)
 
 
-def fit_ends_s(noise: NoiseEstimate, curve: DecayCurve, decay_range_db: float) -> FloatArray:
+def fit_ends_s(noise: NoiseEstimate, curve: decay.DecayCurve, decay_range_db: float) -> FloatArray:
     """Return when the last window of a fit ends in each band, in s after emission, (n_bands,).
 
     Where the decay stands 4 dB above the noise, or has fallen by `decay_range_db`: what comes later
@@ -280,7 +272,7 @@ def time_scales(measurements: Measurements) -> tuple[float, float]:
     return longest, min(latest, longest)
 
 
-_SHORTER: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
+_SHORTER: tuple[decay.ParameterName, ...] = ("T20_s", "EDT_s")
 
 
 def known(row: FloatArray) -> list[float]:
@@ -294,7 +286,7 @@ def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatA
     Or EDT in a band where no pair has the range for T20.
     """
     found: FloatArray = np.full(centres_hz.size, np.nan)
-    names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
+    names: tuple[decay.ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
     for name in names:
         rows = [m.parameters.of(name) for m in measurements.responses if m.measurement.use == "fit"]
         rows += [v.at(name, centres_hz) for v in measurements.values if name in v.values]

@@ -25,13 +25,7 @@ from roomfit.model.problem import Objective
 from roomfit.model.weighing import directed_rows, weigh
 from roomfit.solver import BandFit
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import (
-    BandEstimate,
-    DecayRate,
-    SharedErrors,
-    answer_steps,
-    costs_of_terms,
-)
+from roomfit.uncertainty import gaussian
 from roomfit.uncertainty.intervals import prior_logit_covariance, widened
 
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
@@ -44,8 +38,8 @@ SLOT_S = 0.04
 
 
 def inflated_by_adjacent_bands(
-    answers: Sequence[BandEstimate | None], priors: tuple[MaterialPrior, ...] = ()
-) -> tuple[BandEstimate | None, ...]:
+    answers: Sequence[gaussian.BandEstimate | None], priors: tuple[MaterialPrior, ...] = ()
+) -> tuple[gaussian.BandEstimate | None, ...]:
     """Return intervals that allow for absorption that changes within a band.
 
     A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
@@ -54,7 +48,7 @@ def inflated_by_adjacent_bands(
     end lack a neighbour, and take the step to the other for it. Materials that are tied have one
     error, those of a product errors that are as alike as their absorptions.
     """
-    out: list[BandEstimate | None] = []
+    out: list[gaussian.BandEstimate | None] = []
     neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
     for band, (answer, below, above) in enumerate(neighbours):
         if answer is None or (above is None and below is None):
@@ -64,7 +58,7 @@ def inflated_by_adjacent_bands(
             up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
             step = ABOVE * up + BELOW * down
         else:
-            only = cast(BandEstimate, above or below)
+            only = cast(gaussian.BandEstimate, above or below)
             step = np.hypot(ABOVE, BELOW) * (only.absorption - answer.absorption)
         a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
         sd = np.abs(step) / (a * (1.0 - a))
@@ -111,7 +105,7 @@ def effect_on_answer(
     fit: BandFit,
     shared: Mapping[str, FloatArray],
     areas_m2: FloatArray,
-) -> SharedErrors:
+) -> gaussian.SharedErrors:
     """Return what the errors that a fit's windows share do to its answer [1]_.
 
     Its shifts by these `shared_errors` (`roomfit.uncertainty.gaussian.answer_steps`), of the rate
@@ -126,9 +120,11 @@ def effect_on_answer(
     jacobian = objective.predict(fit.vector).jacobian
     rate = decay_rate(objective, fit, jacobian, shared["decay"])
     shared = {name: errors for name, errors in shared.items() if name != "decay"}
-    costs = costs_of_terms(objective, fit, jacobian, shared, areas_m2)
-    steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
-    return SharedErrors(steps, *costs, rate)
+    costs = gaussian.costs_of_terms(objective, fit, jacobian, shared, areas_m2)
+    steps = gaussian.answer_steps(
+        objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1)
+    )
+    return gaussian.SharedErrors(steps, *costs, rate)
 
 
 def relative_errors(
@@ -188,17 +184,17 @@ def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
 
 def decay_rate(
     objective: Objective, fit: BandFit, jacobian: FloatArray, error: FloatArray
-) -> DecayRate:
+) -> gaussian.DecayRate:
     """Return what data say of a relative change of the rate of decay, to first order.
 
     Shapes: `error` (n_windows, 1).
     """
     n, misfit = len(error), max(fit.chi2_reduced, 1.0)
     weighed = error[:, 0] / (objective.correlation_length()[:n] * fit.variance[:n])
-    (step,) = answer_steps(objective, fit, jacobian, error).T
+    (step,) = gaussian.answer_steps(objective, fit, jacobian, error).T
     known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step)
     pull = float(weighed @ (fit.measured - fit.expected)[:n])
-    return DecayRate(max(known, 0.0) / misfit, pull / misfit, step)
+    return gaussian.DecayRate(max(known, 0.0) / misfit, pull / misfit, step)
 
 
 def scattering_error(

@@ -15,16 +15,9 @@ from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.fit import trace_plan
 from roomfit.fit.compare import curve_of, predicted_curve
 from roomfit.fit.paths import traced_by
-from roomfit.fit.trace_plan import (
-    LEAST_RAYS,
-    TracePlan,
-    has_every_order,
-    images_until_s,
-    plan_trace,
-    traced_s,
-)
 from roomfit.materials.priors import unknown_material
 from roomfit.model.binned import BinnedPaths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
@@ -270,17 +263,17 @@ def trace_room(
     beside_images = settings
     if settings.n_rays_beside_images is None:
         # so many as without images: a fit ends before what is late, a decay does not
-        n_rays = LEAST_RAYS if settings.n_rays is None else settings.n_rays
+        n_rays = trace_plan.LEAST_RAYS if settings.n_rays is None else settings.n_rays
         beside_images = replace(settings, n_rays_beside_images=n_rays)
 
-    def planned() -> TracePlan:
+    def planned() -> trace_plan.TracePlan:
         own = scene, priors, min(longest_s, _LONGEST_S), 0.0
         if added.any():
-            far_s = images_until_s(scene, traced_s(*own[2:]), settings)
-            plan = plan_trace(*own, beside_images, images_until_s=far_s)
-            if has_every_order(plan.settings):
+            far_s = trace_plan.images_until_s(scene, trace_plan.traced_s(*own[2:]), settings)
+            plan = trace_plan.plan_trace(*own, beside_images, images_until_s=far_s)
+            if trace_plan.has_every_order(plan.settings):
                 return plan
-        return plan_trace(*own, settings)
+        return trace_plan.plan_trace(*own, settings)
 
     def traced(n_rays: int, progress: Progress | None) -> TracedRoom:
         plan = planned()

@@ -12,13 +12,7 @@ import numpy as np
 from roomfit.base.arguments import check_known, check_range
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import FloatArray, Progress, part
-from roomfit.impedance.data import (
-    MODEL_ERROR,
-    PLANE_MODEL_ERROR,
-    Observed,
-    complex_frequency_hz,
-    level_at,
-)
+from roomfit.impedance import data, verdict
 from roomfit.impedance.fit import (
     SAME_WITHIN,
     ImpedanceFit,
@@ -32,12 +26,6 @@ from roomfit.impedance.fit import (
 from roomfit.impedance.laws import WallModel
 from roomfit.impedance.problem import Problem, check_observed, deviation
 from roomfit.impedance.result import ImpedanceResult
-from roomfit.impedance.verdict import (
-    data_findings,
-    estimated_noise,
-    judged_result,
-    result_without_fit,
-)
 from roomfit.impedance.wave_model import Nuisances, wave_model
 from roomfit.room.scene import Scene
 
@@ -74,7 +62,7 @@ class ImpedanceSettings:
 @one_blas_thread
 def identify_impedance(
     scene: Scene,
-    observed: Observed,
+    observed: data.Observed,
     walls: Mapping[str, WallModel] | None = None,
     nuisances: Nuisances | None = None,
     *,
@@ -145,9 +133,9 @@ def identify_impedance(
     """
     began = time.perf_counter()
     problem = wave_problem(scene, observed, walls, nuisances, settings)
-    findings = data_findings(problem)
+    findings = verdict.data_findings(problem)
     if findings:
-        return result_without_fit(problem, findings, time.perf_counter() - began)
+        return verdict.result_without_fit(problem, findings, time.perf_counter() - began)
     n_random = (settings or ImpedanceSettings()).random_starts
     _LOG.info("searching starts")
     starts = multistart(problem, n_random, rng, part(progress, 0.0, 0.3))
@@ -155,17 +143,17 @@ def identify_impedance(
     fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:
-        shown = replace(observed, noise=estimated_noise(fit))
+        shown = replace(observed, noise=verdict.estimated_noise(fit))
         sd = _deviation(scene, shown, problem.model_error)
         fit = polish(replace(problem, observed=shown, sd=sd), fit.x, fit.roughness_sd)
     if progress is not None:
         progress(0.9)
-    return judged_result(fit, starts, rivals, observed, time.perf_counter() - began)
+    return verdict.judged_result(fit, starts, rivals, observed, time.perf_counter() - began)
 
 
 def wave_problem(
     scene: Scene,
-    observed: Observed,
+    observed: data.Observed,
     walls: Mapping[str, WallModel] | None = None,
     nuisances: Nuisances | None = None,
     settings: ImpedanceSettings | None = None,
@@ -180,9 +168,9 @@ def wave_problem(
     for name in walls:
         what = "a model is specified for a wall that does not exist"
         check_known(what, name, scene.room.materials)
-    factor = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
+    factor = data.MODEL_ERROR if settings.spherical else data.PLANE_MODEL_ERROR
     factor = factor if settings.model_error is None else settings.model_error
-    f = complex_frequency_hz(observed)
+    f = data.complex_frequency_hz(observed)
     curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
     model, sd = (
         wave_model(scene, observed.frequency_hz, observed.tau_s),
@@ -191,9 +179,9 @@ def wave_problem(
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
-def _deviation(scene: Scene, observed: Observed, factor: float) -> FloatArray:
+def _deviation(scene: Scene, observed: data.Observed, factor: float) -> FloatArray:
     # exact data and an exact model: rounding, and images beyond the last
-    return np.maximum(deviation(scene, observed, factor), 1e-4 * level_at(observed))
+    return np.maximum(deviation(scene, observed, factor), 1e-4 * data.level_at(observed))
 
 
 def _rivals(

@@ -14,15 +14,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from roomfit.base import whole_files
 from roomfit.base.arguments import read_only
 from roomfit.base.findings import Finding
 from roomfit.base.table import Column, Table, Value, csv_of
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
-from roomfit.base.whole_files import (
-    whole_output_folder,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.files.encoding import finding_content, numbers_or_null, provenance
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence
@@ -255,9 +251,9 @@ def write_impedance(
     out: Path, result: ImpedanceResult, inputs: Iterable[Path], *, overwrite: bool = False
 ) -> None:
     """Write result.json and impedance.csv into a folder, both or nothing."""
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_text_atomically(folder / "impedance.csv", csv_of(_records(result)))
-        write_json_atomically(folder / "result.json", _content(result, inputs))
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
+        whole_files.write_text_atomically(folder / "impedance.csv", csv_of(_records(result)))
+        whole_files.write_json_atomically(folder / "result.json", _content(result, inputs))
 
 
 def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:

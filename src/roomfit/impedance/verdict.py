@@ -9,18 +9,11 @@ import numpy as np
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.impedance import result
 from roomfit.impedance.data import Observed, level_at, model_error, smoothed
 from roomfit.impedance.fit import SAME_WITHIN, ImpedanceFit, Start, distance, reduced_chi2
 from roomfit.impedance.laws import Spline, as_spline
 from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra, state_of
-from roomfit.impedance.result import (
-    Z95,
-    Estimate,
-    ImpedanceResult,
-    MaterialImpedance,
-    Verdict,
-    material_impedance,
-)
 from roomfit.impedance.wave_model import predicted_pressure
 from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Scene
@@ -116,13 +109,13 @@ def judged_result(
     rivals: tuple[ImpedanceFit, ...],
     observed: Observed,
     seconds: float,
-) -> ImpedanceResult:
+) -> result.ImpedanceResult:
     """Return the result of a fit with its verdict."""
     problem = fit.problem
     materials = _material_impedances(fit)
     weaker = _weaker_findings(problem, observed)
     verdict, doubts = _verdict(fit, rivals, observed, materials)
-    return ImpedanceResult(
+    return result.ImpedanceResult(
         frequency_hz=problem.observed.frequency_hz,
         tau_s=problem.observed.tau_s,
         materials=materials,
@@ -147,17 +140,19 @@ def judged_result(
 
 def result_without_fit(
     problem: Problem, findings: tuple[Finding, ...], seconds: float
-) -> ImpedanceResult:
+) -> result.ImpedanceResult:
     """Return the result where the data cannot determine the unknowns: nothing but that."""
     scene, observed, cause = problem.model.scene, problem.observed, "too few data"
     n_f = len(observed.frequency_hz)
     nothing, unbounded = np.zeros(n_f, dtype=np.complex128), np.tile(1e6 * np.eye(2), (n_f, 1, 1))
-    materials = (material_impedance(m, "none", nothing, unbounded) for m in scene.room.materials)
-    return ImpedanceResult(
+    materials = (
+        result.material_impedance(m, "none", nothing, unbounded) for m in scene.room.materials
+    )
+    return result.ImpedanceResult(
         frequency_hz=observed.frequency_hz,
         tau_s=observed.tau_s,
         materials=tuple(materials),
-        verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}."),
+        verdict=result.Verdict("not identifiable", cause, f"Not identifiable: {cause}."),
         findings=findings,
         pairs=pair_names(scene),
         measured=observed.pressure,
@@ -172,7 +167,7 @@ def pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
     return tuple((scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs)
 
 
-def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
+def _material_impedances(fit: ImpedanceFit) -> tuple[result.MaterialImpedance, ...]:
     """Return every material with its intervals.
 
     Besides noise, the intervals cover what the image model itself gets wrong. That does not average
@@ -194,20 +189,20 @@ def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
         off = share * np.abs(1.0 - fit.r0[i] ** 2)
         covariance = np.einsum("fai,ij,fbj->fab", parts, own, parts)
         covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
-        found.append(material_impedance(name, curve.kind, fit.r0[i], covariance))
+        found.append(result.material_impedance(name, curve.kind, fit.r0[i], covariance))
     return tuple(found)
 
 
-def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
+def _found_nuisances(fit: ImpedanceFit) -> tuple[result.Estimate, ...]:
     """Return every nuisance of a fit with its interval, in the order of the unknowns."""
     problem, layout, x = fit.problem, fit.problem.layout, fit.x
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     scene, nuisances = problem.model.scene, problem.nuisances
-    found: list[Estimate] = []
+    found: list[result.Estimate] = []
 
     def add(name: str, unit: str, at: int, scale: float, middle: float = 0.0) -> None:
-        value, reach = middle + x[at] * scale, Z95 * sd[at] * scale
-        found.append(Estimate(name, unit, value, value - reach, value + reach, scale))
+        value, reach = middle + x[at] * scale, result.Z95 * sd[at] * scale
+        found.append(result.Estimate(name, unit, value, value - reach, value + reach, scale))
 
     for moves, points in ((layout.source, scene.sources), (layout.receiver, scene.receivers)):
         for n, (point, axis, scale_m) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
@@ -294,8 +289,8 @@ def _verdict(
     fit: ImpedanceFit,
     rivals: tuple[ImpedanceFit, ...],
     observed: Observed,
-    materials: tuple[MaterialImpedance, ...],
-) -> tuple[Verdict, list[Finding]]:
+    materials: tuple[result.MaterialImpedance, ...],
+) -> tuple[result.Verdict, list[Finding]]:
     chi2, octaves = reduced_chi2(fit), _chi2_by_octave(fit)
     loud = _noise_over_level(fit.problem.observed) > LOUDEST_ESTIMATED_NOISE
     loud = loud and observed.noise is None
@@ -309,18 +304,18 @@ def _verdict(
         evidence = {"chi2": chi2, "cause": cause}
         code, advice = Code.IMPEDANCE_DOES_NOT_FIT, " Do not use the walls found."
         finding = Finding(code, About(), sentence + advice, evidence)
-        return Verdict("does not fit", cause, sentence), [finding]
+        return result.Verdict("does not fit", cause, sentence), [finding]
     unsure = [m.name for m in materials if float(np.mean(m.identified)) < ENOUGH_FREQUENCIES]
     if not (rivals or unsure):
         sentence = f"Identified: the residual is {chi2:.2f} of what noise and model error allow."
-        return Verdict("identified", "", sentence), []
+        return result.Verdict("identified", "", sentence), []
     cause = f"the data hardly depend on {', '.join(unsure)}"
     cause = "other walls explain the data as well" if rivals else cause
     sentence, code = f"Not identifiable: {cause}.", Code.IMPEDANCE_NOT_IDENTIFIABLE
     advice = " More pairs, or pairs nearer to the walls concerned, would help."
     evidence = {"rivals": len(rivals), "materials": unsure}
     finding = Finding(code, About(materials=unsure), sentence + advice, evidence)
-    return Verdict("not identifiable", cause, sentence), [finding]
+    return result.Verdict("not identifiable", cause, sentence), [finding]
 
 
 def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:

@@ -13,15 +13,7 @@ from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.model.weighing import (
-    ROWS_WORTH_THREADS,
-    EnergyRows,
-    energy_rows,
-    regrouped_rows,
-    reweighed_rows,
-    sharing,
-    weigh,
-)
+from roomfit.model import weighing
 from roomfit.room.scene import Scene
 from roomfit.tracing.paths import Paths, paths_of_pairs
 
@@ -35,19 +27,21 @@ class BinnedPaths:
 
     # (n_bins + 1,), uniform, from before emission, since a zero-phase filter rings before a sound
     edges_s: FloatArray
-    rows: tuple[EnergyRows, ...]  # one a pair
+    rows: tuple[weighing.EnergyRows, ...]  # one a pair
     # by centre in Hz, where weights differ, because scattering or directivity does: same paths and
     # bins
-    by_band: Mapping[float, tuple[EnergyRows, ...]] = field(default_factory=dict)
+    by_band: Mapping[float, tuple[weighing.EnergyRows, ...]] = field(default_factory=dict)
 
 
-def rows_at(binned: BinnedPaths, centre_hz: float) -> tuple[EnergyRows, ...]:
+def rows_at(binned: BinnedPaths, centre_hz: float) -> tuple[weighing.EnergyRows, ...]:
     """Return the rows of every pair in one band."""
     return binned.by_band.get(float(centre_hz), binned.rows)
 
 
 def regrouped(
-    binned: BinnedPaths, edges_s: FloatArray, change: Callable[[EnergyRows], EnergyRows]
+    binned: BinnedPaths,
+    edges_s: FloatArray,
+    change: Callable[[weighing.EnergyRows], weighing.EnergyRows],
 ) -> BinnedPaths:
     """Return binned paths with every band's rows changed alike."""
     return BinnedPaths(
@@ -66,11 +60,11 @@ def pair_energies(
 ) -> FloatArray:
     """Return the energies of one pair in every band and bin, shape (n_bands, n_bins)."""
     if not binned.by_band:
-        return weigh(binned.rows[pair], absorption, attenuation_per_m)
+        return weighing.weigh(binned.rows[pair], absorption, attenuation_per_m)
     found = []
     for band, centre_hz in enumerate(bands.centres_hz):
         rows, one = rows_at(binned, centre_hz)[pair], slice(band, band + 1)
-        found.append(weigh(rows, absorption[:, one], attenuation_per_m[one]))
+        found.append(weighing.weigh(rows, absorption[:, one], attenuation_per_m[one]))
     return np.concatenate(found)
 
 
@@ -85,12 +79,12 @@ def bin_paths(
     last = int(np.ceil(duration_s / BIN_S))
     edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
     c = speed_of_sound_m_s(scene.air)
-    of_pair, worth_it = paths_of_pairs(paths), len(paths.pair) >= ROWS_WORTH_THREADS
+    of_pair, worth_it = paths_of_pairs(paths), len(paths.pair) >= weighing.ROWS_WORTH_THREADS
 
-    def rows(first: int, i: int) -> EnergyRows:
-        return energy_rows(paths, first + i, edges, c, of_pair[first + i])
+    def rows(first: int, i: int) -> weighing.EnergyRows:
+        return weighing.energy_rows(paths, first + i, edges, c, of_pair[first + i])
 
-    def each() -> Iterator[EnergyRows]:
+    def each() -> Iterator[weighing.EnergyRows]:
         """Give few pairs at a time: in memory until what states have in common is there once."""
         for first in range(0, len(of_pair), at_once := numba.get_num_threads()):
             n = min(at_once, len(of_pair) - first)
@@ -106,17 +100,17 @@ def reweighed(
     if factors is None:
         return BinnedPaths(binned.edges_s, binned.rows)
     by_band = {
-        float(f): once(scene.pairs, (reweighed_rows(r, own) for r in binned.rows))
+        float(f): once(scene.pairs, (weighing.reweighed_rows(r, own) for r in binned.rows))
         for f, own in zip(bands.centres_hz, factors, strict=True)
     }
     return BinnedPaths(binned.edges_s, binned.rows, by_band)
 
 
-def once(ends: IntArray, each: Iterable[EnergyRows]) -> tuple[EnergyRows, ...]:
+def once(ends: IntArray, each: Iterable[weighing.EnergyRows]) -> tuple[weighing.EnergyRows, ...]:
     """Return rows, with what is alike in all states of the room there once."""
-    found: dict[tuple[int, ...], EnergyRows] = {}
+    found: dict[tuple[int, ...], weighing.EnergyRows] = {}
     both = zip(ends.tolist(), each, strict=True)
-    return tuple(sharing(own, found.setdefault(tuple(at), own)) for at, own in both)
+    return tuple(weighing.sharing(own, found.setdefault(tuple(at), own)) for at, own in both)
 
 
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
@@ -127,7 +121,7 @@ def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
     """
     first = _bin_starts(binned.edges_s.tobytes(), centre_hz)
     edges_s = binned.edges_s[np.append(first, binned.edges_s.size - 1)]
-    rows = tuple(regrouped_rows(rows, first) for rows in rows_at(binned, centre_hz))
+    rows = tuple(weighing.regrouped_rows(rows, first) for rows in rows_at(binned, centre_hz))
     return BinnedPaths(edges_s, rows)
 
 

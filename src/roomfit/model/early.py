@@ -21,12 +21,7 @@ from roomfit.model.directivity import DIRECTIVITY, BandDirectivities, DirectedTe
 from roomfit.model.energy import EnergyTerm, model_variance, parts_of, variance_of_batches
 from roomfit.model.patterns import amplitude_and_slope, pattern_basis
 from roomfit.model.problem import DataTerm, Rows, Values
-from roomfit.signals.filters import (
-    SpreadingKernel,
-    spreading_matrix,
-    spreading_reach_s,
-    spreading_slopes_per_s,
-)
+from roomfit.signals import filters
 from roomfit.tracing.paths import Paths, losses
 
 _LEAST = 1e-12
@@ -222,7 +217,7 @@ def displaced_term(
     images: Paths,
     times_s: FloatArray,
     weight: FloatArray,
-    kernel: tuple[SpreadingKernel, int],
+    kernel: tuple[filters.SpreadingKernel, int],
 ) -> DisplacedTerm:
     """Return the windows with the image sources of one geometry.
 
@@ -230,7 +225,7 @@ def displaced_term(
     """
     observations = kept.term.observations
     # all observations one after the other on one axis of time, so that one call spreads them all
-    reach_s = spreading_reach_s(*kernel)
+    reach_s = filters.spreading_reach_s(*kernel)
     low_s = min(float(o.edges_s[0]) for o in observations) - 2.0 * reach_s
     slot_s = max(float(o.edges_s[-1]) for o in observations) + 2.0 * reach_s - low_s
     index, number, delays_s = [], [], []
@@ -252,17 +247,17 @@ def displaced_term(
         parts = zip(np.split(images.departure[own], ends), aims, strict=True)
         basis = np.concatenate([pattern_basis(p, aim) for p, aim in parts])
     delays = np.concatenate(delays_s)
-    fine = spreading_matrix(*kernel, delays, fine_s)[pieces]
+    fine = filters.spreading_matrix(*kernel, delays, fine_s)[pieces]
     return DisplacedTerm(
         kept,
         observation,
         losses(images, own).astype(np.float64),
         weight[own],
         basis,
-        spreading_matrix(*kernel, delays, coarse_s)[windows],
+        filters.spreading_matrix(*kernel, delays, coarse_s)[windows],
         fine,
         fine.power(2),
-        spreading_slopes_per_s(*kernel, delays, coarse_s)[windows].power(2),
+        filters.spreading_slopes_per_s(*kernel, delays, coarse_s)[windows].power(2),
     )
 
 

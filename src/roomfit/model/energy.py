@@ -13,18 +13,9 @@ from roomfit.base.arguments import float_array
 from roomfit.base.forks import count_evaluation
 from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import FloatArray
+from roomfit.model import weighing
 from roomfit.model.parameters import start_vector
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
-from roomfit.model.weighing import (
-    ROWS_WORTH_THREADS,
-    EnergyParts,
-    EnergyRows,
-    RowBasis,
-    RowPattern,
-    rows_in_air,
-    taken_rows,
-    weigh_parts,
-)
 from roomfit.model.windows import squares_in_windows, with_squares
 
 _RINGING_S = 2e-3
@@ -78,7 +69,7 @@ class EnergyTerm(DataTerm):
     centre_hz: float
     bandwidth_hz: float  # statistical bandwidth of the band filter
     attenuation_per_m: float  # energy attenuation of the air
-    rows: tuple[EnergyRows, ...]  # paths of each observation's pair in fine time bins
+    rows: tuple[weighing.EnergyRows, ...]  # paths of each observation's pair in fine time bins
     observations: tuple[Observation, ...]
     # relative standard deviation that the model may be wrong by in any window
     model_error: float = 0.2
@@ -86,7 +77,7 @@ class EnergyTerm(DataTerm):
     # loudspeaker rings and real walls scatter between the reflections that are modelled
     ringing_error: float = 0.1
     # of each observation's rows, None where its source is omnidirectional; empty: all are
-    patterns: tuple[RowPattern | None, ...] = ()
+    patterns: tuple[weighing.RowPattern | None, ...] = ()
     # what the last prediction weighed, by its absorption: the variance there takes no second pass
     _last: dict[bytes, tuple[Weighed, ...]] = field(default_factory=dict, init=False, repr=False)
 
@@ -100,16 +91,16 @@ class EnergyTerm(DataTerm):
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         walls, air = values["absorption"], self.attenuation_per_m
 
-        def weighed_windows(o: int) -> tuple[EnergyParts, FloatArray]:
+        def weighed_windows(o: int) -> tuple[weighing.EnergyParts, FloatArray]:
             pattern = self.patterns[o] if self.patterns else None
-            parts = weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
+            parts = weighing.weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
             return parts, self.observations[o].spreading @ parts.columns
 
         signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
         each = each_in_threads(
             weighed_windows,
             len(self.observations),
-            worth_it=sum(map(len, self.rows)) >= ROWS_WORTH_THREADS,
+            worth_it=sum(map(len, self.rows)) >= weighing.ROWS_WORTH_THREADS,
         )
         for observation, (parts, found) in zip(self.observations, each, strict=True):
             gain = gains[observation.gain]
@@ -165,10 +156,12 @@ class EnergyTerm(DataTerm):
         """Return the windows themselves."""
         return self
 
-    def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> EnergyTerm:
+    def radiated(
+        self, b: Sequence[FloatArray | None], basis: Sequence[weighing.RowBasis]
+    ) -> EnergyTerm:
         """Return the windows with the directivity of each observation's source."""
         pairs = zip(b, basis, strict=True)
-        patterns = tuple(None if own is None else RowPattern(own, at) for own, at in pairs)
+        patterns = tuple(None if own is None else weighing.RowPattern(own, at) for own, at in pairs)
         return replace(self, patterns=patterns)
 
 
@@ -187,7 +180,7 @@ def in_air(term: EnergyTerm) -> EnergyTerm:
     m = term.attenuation_per_m
     return replace(
         term,
-        rows=tuple(rows_in_air(rows, m) for rows in term.rows),
+        rows=tuple(weighing.rows_in_air(rows, m) for rows in term.rows),
         attenuation_per_m=0.0,
     )
 
@@ -238,10 +231,12 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     return tuple(found)
 
 
-def parts_of(problem: EnergyTerm, observation: int, absorption: FloatArray) -> EnergyParts:
+def parts_of(problem: EnergyTerm, observation: int, absorption: FloatArray) -> weighing.EnergyParts:
     """Return energies, squares and batches of one observation's bins, for a gain of 1."""
     pattern = problem.patterns[observation] if problem.patterns else None
-    return weigh_parts(problem.rows[observation], pattern, absorption, problem.attenuation_per_m)
+    return weighing.weigh_parts(
+        problem.rows[observation], pattern, absorption, problem.attenuation_per_m
+    )
 
 
 def observation_variance(
@@ -294,12 +289,12 @@ def end_to_end(parts: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArra
     return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
 
 
-def squared_image_rows(rows: EnergyRows) -> EnergyRows:
+def squared_image_rows(rows: weighing.EnergyRows) -> weighing.EnergyRows:
     """Return rows whose weighed energies are the squared energies of the single image paths.
 
     Rays are left out: they sample very many weak reflections, whose squares vanish.
     """
-    few = taken_rows(rows, np.flatnonzero(rows.batch < 0))
+    few = weighing.taken_rows(rows, np.flatnonzero(rows.batch < 0))
     return replace(
         few,
         weight_per_m2=few.weight_per_m2**2,

@@ -19,16 +19,7 @@ from roomfit.model.parameters import Block, Parameters
 from roomfit.model.weighing import first_rows, weigh
 from roomfit.model.windows import band_spreading, spread_energy, window_edges_s
 from roomfit.room.scene import Scene
-from roomfit.signals.filters import (
-    SpreadingKernel,
-    energy_bandwidth_hz,
-    spreading_kernel,
-    spreading_matrix,
-    spreading_reach_s,
-    spreading_slopes_per_s,
-    statistical_bandwidth_hz,
-    window_energies,
-)
+from roomfit.signals import filters
 from roomfit.signals.measurement import MeasuredPair
 
 # Positions are taken with a tape, unless the campaign says how well they are known.
@@ -76,7 +67,7 @@ def energy_term(
     labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
     gain_labels = tuple(dict.fromkeys(label for label in labels if label))
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-    reduction = one, spreading_kernel(bands)
+    reduction = one, filters.spreading_kernel(bands)
     observations = tuple(
         _observation(
             reduction,
@@ -92,7 +83,10 @@ def energy_term(
     if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
         return None
     absorption = absorption_block(priors, band, float(start[band]))
-    centre_hz, bandwidth_hz = float(bands.centres_hz[band]), statistical_bandwidth_hz(one)[0]
+    centre_hz, bandwidth_hz = (
+        float(bands.centres_hz[band]),
+        filters.statistical_bandwidth_hz(one)[0],
+    )
     term = EnergyTerm(centre_hz, float(bandwidth_hz), 0.0, (), observations)
     term = with_paths(term, binned, float(attenuation[band]))
     return term, Parameters((absorption, _gain_block(gain_labels, term, absorption)))
@@ -126,7 +120,7 @@ def spread_over_time(bands: Bands, energies: FloatArray) -> FloatArray:
 
 
 def _observation(
-    reduction: tuple[Bands, SpreadingKernel],
+    reduction: tuple[Bands, filters.SpreadingKernel],
     band: int,
     m: MeasuredPair,
     bin_edges_s: FloatArray,
@@ -135,7 +129,7 @@ def _observation(
     shortest: tuple[float, float],
 ) -> Observation:
     one, kernel = reduction
-    bandwidth_hz = float(statistical_bandwidth_hz(one)[0])
+    bandwidth_hz = float(filters.statistical_bandwidth_hz(one)[0])
     end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
     periods, fine_s = shortest
     rough = kernel if fine_s else replace(kernel, least_share=_LEAST_OF_VARIANCE)
@@ -144,20 +138,22 @@ def _observation(
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a single sample of height 1 has the energy 1
     rate_hz = m.response.sampling_rate_hz
-    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(one)[0]))
+    per_second = (
+        m.noise.floor[band] * rate_hz**2 / (2.0 * float(filters.energy_bandwidth_hz(one)[0]))
+    )
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
     bin_centres_s = centres[
-        : int(np.searchsorted(centres, edges[-1] + spreading_reach_s(kernel, band)))
+        : int(np.searchsorted(centres, edges[-1] + filters.spreading_reach_s(kernel, band)))
     ]
     return Observation(
         m.pair,
         edges,
-        unit * window_energies(one, m.response, edges)[0],
+        unit * filters.window_energies(one, m.response, edges)[0],
         unit * per_second * np.diff(edges),
-        spreading_matrix(kernel, band, bin_centres_s, edges),
+        filters.spreading_matrix(kernel, band, bin_centres_s, edges),
         fine,
-        spreading_matrix(rough, band, bin_centres_s, fine),
-        spreading_slopes_per_s(rough, band, bin_centres_s, edges),
+        filters.spreading_matrix(rough, band, bin_centres_s, fine),
+        filters.spreading_slopes_per_s(rough, band, bin_centres_s, edges),
         timing_sd_s,
         gain,
     )

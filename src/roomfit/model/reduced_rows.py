@@ -11,15 +11,9 @@ from roomfit.base.bands import Bands
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.energy import squared_image_rows
 from roomfit.model.weighing import EnergyRows, taken_rows, weigh_points
+from roomfit.signals import speech
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve
 from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients, values_of_bins
-from roomfit.signals.speech import (
-    levels_at_listener,
-    speech_bands,
-    speech_transmission,
-    sti_missing,
-    transfer_of_bins,
-)
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
 ROWS_OF_A_DRAW, ROWS_OF_A_CASE = 5_000, 600
@@ -70,17 +64,19 @@ class ReducedRows:
 
     def modulation(self, energies: FloatArray) -> FloatArray:
         """Return the modulation transfer of energies (..., n_bins), shape (..., 14)."""
-        return transfer_of_bins(energies, self.edges_s)
+        return speech.transfer_of_bins(energies, self.edges_s)
 
     def sti(
         self, energies: FloatArray, values: FloatArray, speech_db: FloatArray | None
     ) -> FloatArray:
         """Return the speech transmission index of energies, (n_points,); NaN in other bands."""
-        if sti_missing(self.bands):
+        if speech.sti_missing(self.bands):
             return np.full(len(energies), np.nan)
-        at = speech_bands(self.bands)
+        at = speech.speech_bands(self.bands)
         transfer = self.modulation(energies[:, at])
-        return speech_transmission(transfer, levels_at_listener(speech_db, values[:, -1, at]))
+        return speech.speech_transmission(
+            transfer, speech.levels_at_listener(speech_db, values[:, -1, at])
+        )
 
     def decay(self, energies: FloatArray) -> DecayCurve:
         """Return the decay curves of energies (n_bands, n_bins)."""

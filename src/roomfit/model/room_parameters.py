@@ -15,28 +15,12 @@ from roomfit.base.bands import Bands
 from roomfit.base.forks import count_evaluation
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior
+from roomfit.model import weighing, windows
 from roomfit.model.binned import BinnedPaths, pair_energies, regrouped, rows_at
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
 from roomfit.model.pulses import energy_of_pulses, image_pulses
-from roomfit.model.weighing import (
-    EnergyRows,
-    first_rows,
-    rows_in_air,
-    thinned_rows,
-    weigh,
-    weigh_parts,
-    weigh_points,
-    window_of_rows,
-)
-from roomfit.model.windows import (
-    Spreading,
-    band_spreading,
-    despread,
-    spread_energy,
-    spread_squared_energy,
-)
 from roomfit.room.mesh import box_of
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
@@ -79,9 +63,9 @@ class ValuesTerm(DataTerm):
     bandwidth_hz: float  # statistical bandwidth of its filter
     attenuation_per_m: float  # energy attenuation of the air
     edges_s: FloatArray  # (n_bins + 1,), uniform bins of the rows
-    rows: tuple[EnergyRows, ...]  # paths of each observation's pair
+    rows: tuple[weighing.EnergyRows, ...]  # paths of each observation's pair
     observations: tuple[ValueObservation, ...]
-    spreading: Spreading
+    spreading: windows.Spreading
     # standard deviation by which the model may be wrong, in just noticeable differences
     model_error_jnd: float = MODEL_ERROR_JND
     # what the last prediction read, by its absorption: the variance there takes no second pass
@@ -113,7 +97,7 @@ class ValuesTerm(DataTerm):
         own = values["absorption"][:, None], np.array([self.attenuation_per_m])
         found = []
         for i, (rows, observed) in enumerate(zip(self.rows, self.observations, strict=True)):
-            curve = _curve(self, i, weigh(rows, *own))[0]
+            curve = _curve(self, i, weighing.weigh(rows, *own))[0]
             found.append(value_gradients(curve, 0, observed.names, derivative=False)[0])
         return np.concatenate(found)
 
@@ -150,7 +134,7 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
     # what is carried farther than this is a thousandth
     reach = int(np.argmax(whole[0] + 2.0 * np.cumsum(whole[1 : term.spreading.n_bins]) > 0.999)) + 1
     shares = np.concatenate((whole[-reach:], whole[: reach + 1]))
-    few = [thinned_rows(rows, _ROWS_OF_A_POINT) for rows in term.rows]
+    few = [weighing.thinned_rows(rows, _ROWS_OF_A_POINT) for rows in term.rows]
     chosen = [[VALUE_NAMES.index(name) for name in o.names] for o in term.observations]
     by_ratio = np.concatenate([np.isin(c, [0, 1, 2]) for c in chosen])
 
@@ -159,7 +143,7 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
         for _ in points:
             count_evaluation()
         for rows, own, observed in zip(few, chosen, term.observations, strict=True):
-            energies = weigh_points(rows, points)
+            energies = weighing.weigh_points(rows, points)
             every = values_of_bins(energies, shares, term.edges_s, observed.direct_s)
             found.append(every[:, own])
         return np.concatenate(found, axis=1)
@@ -206,7 +190,7 @@ def scatter_parts(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return numbers read from the decay of a pair, and how measured ones scatter about them."""
     own = _decay(term, i, absorption, read) if decay is None else decay
-    single = spread_squared_energy(term.spreading, own.squares)
+    single = windows.spread_squared_energy(term.spreading, own.squares)
     overlapping = np.maximum(own.spread**2 - single, 0.0)
     variance = overlapping / (term.bandwidth_hz * np.diff(term.edges_s))
     interference = np.asarray((own.gradients * variance) @ own.gradients.T)
@@ -243,10 +227,12 @@ def _decay(
     derivative: bool = False,
 ) -> _Decay:
     rows = term.rows[i]
-    parts = weigh_parts(rows, None, absorption, term.attenuation_per_m, derivative=derivative)
+    parts = weighing.weigh_parts(
+        rows, None, absorption, term.attenuation_per_m, derivative=derivative
+    )
     curve, spread = _curve(term, i, parts.energy[None])
     values, gradients = read(curve)
-    before = despread(term.spreading, gradients)
+    before = windows.despread(term.spreading, gradients)
     by_absorption = before @ parts.by_absorption
     batches = parts.batches @ before.T
     return _Decay(parts.energy, parts.squares, spread, values, gradients, batches, by_absorption)
@@ -254,7 +240,7 @@ def _decay(
 
 def _curve(term: ValuesTerm, i: int, energy: FloatArray) -> tuple[DecayCurve, FloatArray]:
     """Return the decay curve of a pair, and its energies spread as by the filter."""
-    spread = spread_energy(term.spreading, energy)
+    spread = windows.spread_energy(term.spreading, energy)
     direct_s = term.observations[i].direct_s
     return echogram_decay_curve(term.bands, spread, term.edges_s, direct_s), spread[0]
 
@@ -273,8 +259,8 @@ def curve_by_pressures(
     at_s = rows.length_m[image] / rows.length_m[image].min() * observed.direct_s
     heights = image_pulses(rows, image, absorption)
     together = energy_of_pulses(at_s, heights, edges, term.bands)
-    alone = np.bincount(window_of_rows(rows)[image], heights**2, edges.size - 1)
-    rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
+    alone = np.bincount(weighing.window_of_rows(rows)[image], heights**2, edges.size - 1)
+    rest = windows.spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
 
 
@@ -332,13 +318,15 @@ def value_terms(
     return tuple(terms)
 
 
-def _lattice_rows(rows: EnergyRows, attenuation_per_m: float, in_lattice: bool) -> EnergyRows:
+def _lattice_rows(
+    rows: weighing.EnergyRows, attenuation_per_m: float, in_lattice: bool
+) -> weighing.EnergyRows:
     """Return rows in air; images in a box of smooth walls keep their lengths, all else has 0."""
     image = rows.batch < 0
     unscattered = rows.weight_per_m2 * 4.0 * np.pi * rows.length_m**2
     smooth = in_lattice and bool(np.all(unscattered[image] > 0.999))
     kept = np.where(image & smooth, rows.length_m, 0.0)
-    return replace(rows_in_air(rows, attenuation_per_m), length_m=kept)
+    return replace(weighing.rows_in_air(rows, attenuation_per_m), length_m=kept)
 
 
 def without_responses(
@@ -355,8 +343,8 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     """Return the same paths in bins of n times the width; bins left over at the end are dropped."""
     kept = (binned.edges_s.size - 1) // n
 
-    def joined(fine: EnergyRows) -> EnergyRows:
-        first = first_rows(fine, n * kept)
+    def joined(fine: weighing.EnergyRows) -> weighing.EnergyRows:
+        first = weighing.first_rows(fine, n * kept)
         return replace(first, n_windows=kept, offsets=first.offsets[::n], path=None)
 
     return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
@@ -401,15 +389,15 @@ def _values_of(
     found = np.empty((len(names), len(bands)))
     for band, energy in enumerate(energies):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        spread = spread_energy(_spreading(one, edges_s), energy[None])
+        spread = windows.spread_energy(_spreading(one, edges_s), energy[None])
         curve = echogram_decay_curve(one, spread, edges_s, direct_s)
         found[:, band] = value_gradients(curve, 0, names, derivative=False)[0]
     return found
 
 
-def _spreading(bands: Bands, edges_s: FloatArray) -> Spreading:
+def _spreading(bands: Bands, edges_s: FloatArray) -> windows.Spreading:
     """Return the energy spreading of the first of some bands over uniform bins."""
-    return band_spreading(bands, edges_s.size - 1, float(edges_s[1] - edges_s[0]))
+    return windows.band_spreading(bands, edges_s.size - 1, float(edges_s[1] - edges_s[0]))
 
 
 def _observation(

@@ -19,46 +19,20 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogFormatterSciNotation
 
+from roomfit.base import whole_files
 from roomfit.base.arguments import check_range
 from roomfit.base.forks import in_forks
 from roomfit.base.table import Table, csv_of, text_of
 from roomfit.base.typing import FloatArray, Progress
-from roomfit.base.whole_files import (
-    check_output_folder,
-    sole_writer,
-    whole_output_folder,
-    write_bytes_atomically,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.fit.simplex import anneal, downhill_simplex, random_simplex
+from roomfit.paper import room
 from roomfit.paper.proof import Certificate, certify
-from roomfit.paper.room import (
-    CASES,
-    COMPARED_ABOVE,
-    DIVISIONS,
-    N_RAYS,
-    PRINTED_ARRIVALS_MS,
-    RECONSTRUCTED,
-    SPECIFICATIONS,
-    TABLE2,
-    SquaresProblem,
-    arrivals_ms,
-    division_rows,
-    error,
-    paper_problem,
-    paper_scene,
-    trace_paper_room,
-    true_absorption,
-    whole_windows_s,
-    window_energies,
-)
 from roomfit.report.figures import new_figure, png
 from roomfit.report.wording import OKABE_ITO
 from roomfit.tracing.paths import Paths
 
 
-@sole_writer
+@whole_files.sole_writer
 def run_paper(
     out: Path, *, seeds: int = 10, overwrite: bool = False, progress: Progress | None = None
 ) -> str:
@@ -66,20 +40,20 @@ def run_paper(
 
     Nothing is written before everything is known. Seeds are those of `repeat_paper`.
     """
-    check_output_folder(out, overwrite=overwrite)
+    whole_files.check_output_folder(out, overwrite=overwrite)
     result = repeat_paper(seeds, progress=progress)
     columns = ("alpha1", "alpha2", "error_paper", "error_ours")
     table = Table("", columns, _table2_rows(result), form=".6g")
-    with whole_output_folder(out, overwrite=overwrite) as aside:
-        write_text_atomically(aside / "table2.csv", csv_of(table))
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as aside:
+        whole_files.write_text_atomically(aside / "table2.csv", csv_of(table))
         for name, figure in _figures(result).items():
-            write_bytes_atomically(aside / f"{name}.png", png(figure))
-        write_json_atomically(aside / "paper.json", paper_json(result))
+            whole_files.write_bytes_atomically(aside / f"{name}.png", png(figure))
+        whole_files.write_json_atomically(aside / "paper.json", paper_json(result))
     return paper_text(result)
 
 
 def _table2_rows(result: PaperResult) -> list[list[float]]:
-    rows: list[list[float]] = np.column_stack((TABLE2, result.table2)).tolist()
+    rows: list[list[float]] = np.column_stack((room.TABLE2, result.table2)).tolist()
     return rows
 
 
@@ -89,11 +63,11 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         "format": "roomfit-paper",
         "format_version": 2,
         "roomfit": version("roomfit"),
-        "room": RECONSTRUCTED,
-        "rays": N_RAYS,
+        "room": room.RECONSTRUCTED,
+        "rays": room.N_RAYS,
         "seeds": result.seeds,
         "arrivals_ms": {r.name: [r.direct_ms, r.first_reflection_ms] for r in result.responses},
-        "arrivals_ms_paper": {name: list(ms) for name, ms in PRINTED_ARRIVALS_MS.items()},
+        "arrivals_ms_paper": {name: list(ms) for name, ms in room.PRINTED_ARRIVALS_MS.items()},
         "table2": [
             dict(zip(("alpha1", "alpha2", "paper", "ours"), row, strict=True))
             for row in _table2_rows(result)
@@ -103,7 +77,7 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         "grid_minima": {name: grid_minima(own).tolist() for name, own in result.grids.items()},
         "found_within": FOUND_WITHIN,
         "searches": [own._asdict() for own in result.searches],
-        "truth": {name: true_absorption(name).tolist() for name in SPECIFICATIONS},
+        "truth": {name: room.true_absorption(name).tolist() for name in room.SPECIFICATIONS},
         "certified": {
             name: {**own._asdict(), "clusters": [c._asdict() for c in own.clusters]}
             for name, own in result.certificates.items()
@@ -115,10 +89,10 @@ def paper_text(result: PaperResult) -> str:
     """Return the findings in words and tables of at most 100 columns."""
     worst = 100.0 * largest_relative_error(result.table2)
     parts = [
-        RECONSTRUCTED,
+        room.RECONSTRUCTED,
         _arrivals_text(result),
-        f"Table 2: every row with an error above {COMPARED_ABOVE:g} within {worst:.1f} % of the "
-        "paper, after one common factor.",
+        f"Table 2: every row with an error above {room.COMPARED_ABOVE:g} within {worst:.1f} % of "
+        "the paper, after one common factor.",
         _problems_text(result),
     ]
     return "\n\n".join(parts)
@@ -127,7 +101,7 @@ def paper_text(result: PaperResult) -> str:
 def _arrivals_text(result: PaperResult) -> str:
     rows = []
     for r in result.responses:
-        direct, first = PRINTED_ARRIVALS_MS[r.name]
+        direct, first = room.PRINTED_ARRIVALS_MS[r.name]
         here = f"{r.direct_ms} / {r.first_reflection_ms}"
         rows.append((r.name, f"{here} ms, paper {direct} / {first} ms"))
     caption = "Arrival of direct sound / first reflection (1 ms bins), here and in the paper"
@@ -194,9 +168,9 @@ def _responses_figure(responses: Sequence[CaseResponse], width_ms: int) -> Figur
 
 def _contours_figure(result: PaperResult) -> Figure:
     """Return Figure 4: contours of the error on the paper's grid, one panel a case."""
-    figure = _new_figure(3.9 * len(CASES) + 0.8, 5.0)
-    panels = figure.subplots(1, len(CASES), sharey=True, squeeze=False)[0]
-    for axes, name in zip(panels, CASES, strict=True):
+    figure = _new_figure(3.9 * len(room.CASES) + 0.8, 5.0)
+    panels = figure.subplots(1, len(room.CASES), sharey=True, squeeze=False)[0]
+    for axes, name in zip(panels, room.CASES, strict=True):
         drawn = _contours(axes, GRID, result.grids[name])
         _mark_minima(axes, result, name, grid_minima(result.grids[name]))
         axes.set_title(_TITLES[name], fontsize=10)
@@ -228,7 +202,7 @@ def _new_figure(width_in: float, height_in: float) -> Figure:
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / height_in))
     y = 1.0 - 0.05 / height_in
-    figure.text(0.995, y, RECONSTRUCTED, fontsize=8, color="0.35", ha="right", va="top")
+    figure.text(0.995, y, room.RECONSTRUCTED, fontsize=8, color="0.35", ha="right", va="top")
     return figure
 
 
@@ -313,9 +287,9 @@ def repeat_paper(seeds: int, *, progress: Progress | None = None) -> PaperResult
     `seeds`: searches of every problem by every method, 1 to 100,000.
     """
     check_range("number of seeds", seeds, 1, 100_000)
-    shapes = sorted({s.shape for s in SPECIFICATIONS.values()})
-    paths = {shape: trace_paper_room(paper_scene(shape)) for shape in shapes}
-    problems = {n: paper_problem(n, paths[s.shape]) for n, s in SPECIFICATIONS.items()}
+    shapes = sorted({s.shape for s in room.SPECIFICATIONS.values()})
+    paths = {shape: room.trace_paper_room(room.paper_scene(shape)) for shape in shapes}
+    problems = {n: room.paper_problem(n, paths[s.shape]) for n, s in room.SPECIFICATIONS.items()}
     searched = [(name, method) for method in reversed(METHODS) for name in problems]
 
     def found(i: int) -> Searches:
@@ -340,38 +314,40 @@ def repeat_paper(seeds: int, *, progress: Progress | None = None) -> PaperResult
 def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
     """Return Figures 2 and 3 as numbers."""
     found = []
-    for case, name in enumerate(CASES):
-        direct_ms, first_reflection_ms = arrivals_ms(paths, case)
-        edges_s = whole_windows_s(first_reflection_ms, 5)
+    for case, name in enumerate(room.CASES):
+        direct_ms, first_reflection_ms = room.arrivals_ms(paths, case)
+        edges_s = room.whole_windows_s(first_reflection_ms, 5)
         fine, windows = (
-            window_energies(division_rows(paths, case, own, DIVISIONS[2]), true_absorption(name))
-            for own in (whole_windows_s(0, 1), edges_s)
+            room.window_energies(
+                room.division_rows(paths, case, own, room.DIVISIONS[2]), room.true_absorption(name)
+            )
+            for own in (room.whole_windows_s(0, 1), edges_s)
         )
         found.append(CaseResponse(name, direct_ms, first_reflection_ms, fine, edges_s, windows))
     return tuple(found)
 
 
-def table2(problem: SquaresProblem) -> tuple[FloatArray, float]:
+def table2(problem: room.SquaresProblem) -> tuple[FloatArray, float]:
     """Return the errors of case 1 in the rows of Table 2 after one common factor, and the factor.
 
     It is the one of least squared relative difference over the rows that count.
     """
-    ours = np.array([error(problem, row[:2]) for row in TABLE2])
-    counts = TABLE2[:, 2] > COMPARED_ABOVE
-    ratio = ours[counts] / TABLE2[counts, 2]
+    ours = np.array([room.error(problem, row[:2]) for row in room.TABLE2])
+    counts = room.TABLE2[:, 2] > room.COMPARED_ABOVE
+    ratio = ours[counts] / room.TABLE2[counts, 2]
     factor = float(np.sum(ratio) / np.sum(ratio**2))
     return factor * ours, factor
 
 
 def largest_relative_error(errors: FloatArray) -> float:
     """Return by how much the rows of Table 2 that count differ from ours at most, relative."""
-    counts = TABLE2[:, 2] > COMPARED_ABOVE
-    return float(np.max(np.abs(errors[counts] / TABLE2[counts, 2] - 1.0)))
+    counts = room.TABLE2[:, 2] > room.COMPARED_ABOVE
+    return float(np.max(np.abs(errors[counts] / room.TABLE2[counts, 2] - 1.0)))
 
 
-def grid_errors(problem: SquaresProblem, grid: FloatArray) -> FloatArray:
+def grid_errors(problem: room.SquaresProblem, grid: FloatArray) -> FloatArray:
     """Return the error on a square grid, the first absorption along the first axis."""
-    return np.array([[error(problem, np.array([a, b])) for b in grid] for a in grid])
+    return np.array([[room.error(problem, np.array([a, b])) for b in grid] for a in grid])
 
 
 def grid_minima(errors: FloatArray, grid: FloatArray = GRID) -> FloatArray:
@@ -387,8 +363,8 @@ def grid_minima(errors: FloatArray, grid: FloatArray = GRID) -> FloatArray:
     return np.asarray(grid[at[order]])
 
 
-def _searches(problem: SquaresProblem, name: str, method: str, seeds: int) -> Searches:
-    of_point, truth = partial(error, problem), true_absorption(name)
+def _searches(problem: room.SquaresProblem, name: str, method: str, seeds: int) -> Searches:
+    of_point, truth = partial(room.error, problem), room.true_absorption(name)
     fits = []
     for rng in map(np.random.default_rng, range(seeds)):
         if method == "annealing":

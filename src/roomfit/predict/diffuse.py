@@ -18,20 +18,8 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import Z95
 from roomfit.base.typing import FloatArray
 from roomfit.model.room_parameters import model_sd
+from roomfit.predict import diffuse_field, prediction
 from roomfit.predict.changes import Change, change_text, changed_draws
-from roomfit.predict.diffuse_field import (
-    ERROR_SD,
-    LEAST_RELATIVE_SD,
-    DiffuseField,
-    field_posterior,
-    mean_decay,
-)
-from roomfit.predict.prediction import (
-    Predicted,
-    PredictedValue,
-    ValueChange,
-    change_findings,
-)
 from roomfit.predict.split import prior_dominated
 from roomfit.result import result_doubts
 from roomfit.room.scene import Scene
@@ -52,7 +40,7 @@ class PreparedField:
     """A room as a diffuse field whose walls may change: all that a change does not touch."""
 
     scene: Scene  # room and air; neither sources nor receivers
-    field: DiffuseField
+    field: diffuse_field.DiffuseField
     absorption: AbsorptionPosterior
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
     measured_s: FloatArray  # (n_bands,), NaN where nothing was measured
@@ -70,7 +58,7 @@ class PreparedField:
 
 
 def prepare_field(
-    field: DiffuseField,
+    field: diffuse_field.DiffuseField,
     scene: Scene,
     absorption: AbsorptionPosterior | None = None,
     settings: Settings | None = None,
@@ -90,7 +78,7 @@ def prepare_field(
     """
     settings = Settings() if settings is None else settings
     n_draws, rng = max(settings.n_draws, _LEAST_DRAWS), np.random.default_rng(settings.seed)
-    known = field_posterior(field, n_draws, rng) if absorption is None else absorption
+    known = diffuse_field.field_posterior(field, n_draws, rng) if absorption is None else absorption
     known.check_materials(tuple(k.name for k in field.priors))
     draws = draw_absorption(known, n_draws, rng)
     n_bands = len(field.bands)
@@ -98,11 +86,11 @@ def prepare_field(
     # in every band the same errors of the room, and a scatter of its own
     own, *effects = (np.tile(rng.standard_normal((len(draws), 1)), n_bands) for _ in range(3))
     mean, unit = field.formula_error(draws)
-    sd_log = np.hypot(LEAST_RELATIVE_SD, ERROR_SD * unit)
+    sd_log = np.hypot(diffuse_field.LEAST_RELATIVE_SD, diffuse_field.ERROR_SD * unit)
     error = mean + sd_log * own
     if field.decay_s is not None:
-        measured, between = mean_decay(field.decay_s)
-        sd = measured * np.hypot(LEAST_RELATIVE_SD, between)
+        measured, between = diffuse_field.mean_decay(field.decay_s)
+        sd = measured * np.hypot(diffuse_field.LEAST_RELATIVE_SD, between)
         n_positions = np.isfinite(field.decay_s).sum(axis=0)
         scatter = np.maximum(between, _least_scatter(field.bands, measured) / np.sqrt(n_positions))
         n = scatter * rng.standard_normal(error.shape)
@@ -121,7 +109,7 @@ def prepare_field(
 
 
 def _scattering(
-    field: DiffuseField,
+    field: diffuse_field.DiffuseField,
     likeliest: FloatArray,
     measured_s: FloatArray,
     draws: FloatArray,
@@ -142,7 +130,7 @@ def _least_scatter(bands: Bands, decay_s: FloatArray) -> FloatArray:
     return np.asarray(0.55 * np.sqrt((1.0 + 1.52 / 10.0) / (width_hz * decay_s)))
 
 
-def _source(field: DiffuseField) -> Finding:
+def _source(field: diffuse_field.DiffuseField) -> Finding:
     unspecified = [k.name for k in field.priors if not k.specified and k.known is None]
     if field.decay_s is None:
         sentence = (
@@ -162,7 +150,7 @@ def _source(field: DiffuseField) -> Finding:
     return Finding(Code.FROM_DECAY_TIMES, About(), sentence, {"formula": field.formula})
 
 
-def _shape(field: DiffuseField) -> tuple[Finding, ...]:
+def _shape(field: diffuse_field.DiffuseField) -> tuple[Finding, ...]:
     """Return a finding where most of the surface lies across one axis: no formula then holds."""
     if not field.is_flat:
         return ()
@@ -204,7 +192,7 @@ def _drawn_s(room: PreparedField, draws: FloatArray) -> FloatArray:
 
 def field_values(
     room: PreparedField, absorption: FloatArray, draws: FloatArray, *, is_changed: bool = True
-) -> tuple[dict[ValueName, PredictedValue], FloatArray]:
+) -> tuple[dict[ValueName, prediction.PredictedValue], FloatArray]:
     """Return T30 of a room with changed walls beside that before, and its draws.
 
     Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands), `drawn_s`
@@ -221,14 +209,14 @@ def field_values(
     last = np.where(is_measured, before_s * stated, last)
     unknown = np.full(len(before_s), np.nan)
     ratio = _bounds(drawn / drawn_before, np.zeros(len(before_s)))
-    change = ValueChange(
+    change = prediction.ValueChange(
         before_s, first, last, after_s / before_s,
         np.minimum(ratio[0], after_s / before_s), np.maximum(ratio[1], after_s / before_s),
         before_s * _sabine_m2(room, room.absorption.absorption) / _sabine_m2(room, absorption),
     )  # fmt: skip
     if not is_changed:
         low, high = first, last
-    value = PredictedValue(
+    value = prediction.PredictedValue(
         after_s, np.fmin(low, after_s), np.fmax(high, after_s), np.std(drawn, axis=0), rest_sd,
         room.measured_s, in_jnd(NAME, room.measured_s, before_s), unknown,
         change if is_changed else None,
@@ -257,7 +245,7 @@ def in_rows(drawn_s: FloatArray) -> FloatArray:
     return rows
 
 
-def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predicted:
+def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> prediction.Predicted:
     """Predict T30 of a diffuse field with changes, as `roomfit.predict` does where paths are known.
 
     What was measured before is kept, with its interval, and carried over by the change.
@@ -273,7 +261,7 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
     lower, upper = known.lower95.copy(), known.upper95.copy()
     at = [known.materials.index(c.material) for c in changes]
     lower[at], upper[at] = np.quantile(drawn[:, at], (0.025, 0.975), axis=0)
-    found = Predicted(
+    found = prediction.Predicted(
         known.bands, known.materials, expected, lower, upper,
         tuple(change_text(c) for c in changes), (), means,
         (
@@ -281,7 +269,9 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
             *known.findings,
             *room.findings,
             *doubts,
-            *change_findings(changes, bool(np.isfinite(room.measured_s).any()), known.bands, means),
+            *prediction.change_findings(
+                changes, bool(np.isfinite(room.measured_s).any()), known.bands, means
+            ),
         ),
         len(drawn), room.seed, 0.0,
     )  # fmt: skip

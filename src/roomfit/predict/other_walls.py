@@ -19,13 +19,8 @@ from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.traced_room import TracedRoom, trace_room
 from roomfit.materials.priors import object_area_m2
 from roomfit.model.reduced_rows import ReducedRows
+from roomfit.predict import decay
 from roomfit.predict.changes import Change, change_text, changed_draws
-from roomfit.predict.decay import (
-    LatestBands,
-    PairNumbers,
-    pair_numbers,
-    with_common_noise,
-)
 from roomfit.predict.measured import Anchor, anchored, anchors, given_others
 from roomfit.predict.prediction import Predicted, PredictedPair, PredictedValue, change_findings
 from roomfit.predict.question import Question
@@ -56,17 +51,17 @@ class PreparedRoom:
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
     observed: tuple[ObservedPair, ...]
     # of every pair, as it was found; none where some absorption is known after a change only
-    model: tuple[PairNumbers, ...]  # by the model alone
+    model: tuple[decay.PairNumbers, ...]  # by the model alone
     elsewhere: tuple[FloatArray, ...]  # in fitted states, of a state that was not
     anchors: tuple[Anchor, ...]
-    before: tuple[PairNumbers, ...]  # as it was measured, or is expected by other pairs
-    expected: tuple[PairNumbers, ...]  # by other pairs, whether it was measured or not
+    before: tuple[decay.PairNumbers, ...]  # as it was measured, or is expected by other pairs
+    expected: tuple[decay.PairNumbers, ...]  # by other pairs, whether it was measured or not
     few: tuple[ReducedRows, ...]  # of every pair
     findings: tuple[Finding, ...]
     dominated: tuple[Finding, ...]  # by material, that the prior decides its share
     seed: int
     speech_db: FloatArray | None  # as of `predict`
-    latest: tuple[LatestBands, ...]  # of every pair, what `numbers_at` found last
+    latest: tuple[decay.LatestBands, ...]  # of every pair, what `numbers_at` found last
 
     @property
     def scene(self) -> Scene:
@@ -130,8 +125,8 @@ def _surface_areas_m2(scene: Scene) -> FloatArray:
 
 
 def _given_fitted_states(
-    room: PreparedRoom, numbers: Sequence[PairNumbers]
-) -> tuple[PairNumbers, ...]:
+    room: PreparedRoom, numbers: Sequence[decay.PairNumbers]
+) -> tuple[decay.PairNumbers, ...]:
     """Return predictions of a state that was not fitted, draws as the decays of others allow."""
     if not room.elsewhere:
         return tuple(numbers)
@@ -183,7 +178,7 @@ def _numbers(
     absorption: FloatArray,
     draws: FloatArray,
     progress: Progress | None,
-) -> tuple[PairNumbers, ...]:
+) -> tuple[decay.PairNumbers, ...]:
     """Return the numbers of every pair, as nothing is known of them before."""
     n_pairs = len(room.scene.pairs)
     _LOG.info("predicting")
@@ -191,8 +186,8 @@ def _numbers(
 
     absorptions = np.concatenate((absorption[None], draws))
 
-    def of_pair(i: int) -> PairNumbers:
-        one = pair_numbers(room.traced, i, room.few[i], absorptions, room.speech_db)
+    def of_pair(i: int) -> decay.PairNumbers:
+        one = decay.pair_numbers(room.traced, i, room.few[i], absorptions, room.speech_db)
         if shown is not None:
             shown((i + 1) / n_pairs)
         return one
@@ -202,7 +197,7 @@ def _numbers(
 
 def numbers_at(
     room: PreparedRoom, absorption: FloatArray, draws: FloatArray
-) -> tuple[PairNumbers, ...]:
+) -> tuple[decay.PairNumbers, ...]:
     """Return the numbers of every pair under another absorption.
 
     Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands).
@@ -216,9 +211,9 @@ def numbers_at(
         )
     absorptions = np.concatenate((absorption[None], draws))
 
-    def numbers(i: int) -> PairNumbers:
+    def numbers(i: int) -> decay.PairNumbers:
         own = room.few[i], absorptions, room.speech_db, room.model[i], room.latest[i]
-        return pair_numbers(room.traced, i, *own)
+        return decay.pair_numbers(room.traced, i, *own)
 
     after = _given_fitted_states(room, tuple(each_in_threads(numbers, len(room.few))))
     found = room.absorption.absorption
@@ -227,7 +222,7 @@ def numbers_at(
     # objects take energy from paths, and send none another way
     others[len(others) - len(room.absorption.objects) :] = False
     return tuple(
-        anchored(with_common_noise(new, old, few, found, absorption, others), old, anchor)
+        anchored(decay.with_common_noise(new, old, few, found, absorption, others), old, anchor)
         for new, old, few, anchor in zip(after, room.model, room.few, room.anchors, strict=True)
     )
 
@@ -239,7 +234,7 @@ def predict_paths(room: PreparedRoom, changes: Sequence[Change]) -> Predicted:
     expected, drawn, doubts = changed_draws(absorption, room.draws, changes, room.seed)
     names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
     changed = [names.index(c.material) for c in changes]
-    numbers: list[tuple[PairNumbers, ...]] = [room.before]
+    numbers: list[tuple[decay.PairNumbers, ...]] = [room.before]
     if changes and room.before:
         numbers = [numbers_at(room, expected, drawn), room.before]
     elif changes:  # of walls that were fitted elsewhere
@@ -287,7 +282,7 @@ def _object_areas(known: AbsorptionPosterior, values: FloatArray) -> dict[str, F
 
 
 def _tables(
-    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]], sabine: FloatArray
+    room: PreparedRoom, numbers: list[tuple[decay.PairNumbers, ...]], sabine: FloatArray
 ) -> tuple[tuple[PredictedPair, ...], dict[ValueName, PredictedValue], PredictedValue | None]:
     """Return what is predicted of every pair, and the means over them."""
     scene, bands, observed = room.scene, room.absorption.bands, room.observed

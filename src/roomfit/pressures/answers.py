@@ -9,18 +9,11 @@ import numpy as np
 
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.fit import systematics
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.directivity import band_directivities
 from roomfit.fit.fits import BandFits
 from roomfit.fit.outliers import variance_inflation
-from roomfit.fit.systematics import (
-    SLOT_S,
-    effect_on_answer,
-    inflated_by_adjacent_bands,
-    middles_s,
-    relative_errors,
-    shared_errors,
-)
 from roomfit.model.directivity import directed, directed_band, energy_objective, row_bases
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import energy_term, fitted_in_band
@@ -60,7 +53,7 @@ def coherent_answers(
         )
 
     coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
-    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, state.priors))
+    chosen = decided(fit, energy, systematics.inflated_by_adjacent_bands(coherent, state.priors))
 
     # where no response has data, room parameters or the prior
     def rest(b: int) -> BandEstimate:
@@ -190,8 +183,11 @@ def _effect(
     absorption = physical_values(objective.parameters, fit.vector)[0]["absorption"]
     of = state.scene.air, state.bands, windows, state.paths, absorption, state.scattering
     sources = [int(state.scene.pairs[m.pair][0]) for m in fitted_in_band(state.files, b)]
-    shared = {**shared_errors(objective, fit, sources, relative_errors(*of)), **more}
-    return effect_on_answer(objective, fit, shared, material_areas_m2(state.scene.room))
+    shared = {
+        **systematics.shared_errors(objective, fit, sources, systematics.relative_errors(*of)),
+        **more,
+    }
+    return systematics.effect_on_answer(objective, fit, shared, material_areas_m2(state.scene.room))
 
 
 def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
@@ -214,7 +210,7 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     more, signal = whole.expected(fit.vector) - expected, expected - noise
     weight = signal / fit.variance[: noise.size]
     early = np.isin(np.arange(noise.size), band.coherent.early_windows())
-    slot = np.floor(middles_s(energies) / SLOT_S).astype(np.int64)
+    slot = np.floor(systematics.middles_s(energies) / systematics.SLOT_S).astype(np.int64)
     weight = np.where(early, weight, 0.0)
     top = np.bincount(slot, weight * more, slot.max() + 1)
     bottom = np.bincount(slot, weight * signal, slot.max() + 1)

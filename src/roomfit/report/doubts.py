@@ -13,18 +13,8 @@ from roomfit.base.table import Cell, Table
 from roomfit.base.typing import FloatArray
 from roomfit.checks.decay import DECAY_SCATTER, mean_miss
 from roomfit.checks.verdict import VOID_ANY_MEAN, Remaining, what_remains
+from roomfit.report import wording
 from roomfit.report.tables import compared_pairs, known_or, parameter_keys
-from roomfit.report.wording import (
-    DASH,
-    band_ranges,
-    coefficient,
-    count,
-    decay_time_key,
-    hertz,
-    listing,
-    number,
-    parameter,
-)
 from roomfit.result import Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene
@@ -68,7 +58,7 @@ def remaining_usable(result: Result) -> tuple[str, ...]:
     taken = ""
     if found.taken:
         reasons = "; ".join(f"{code.value}: {REASONS[code]}" for code in found.codes)
-        words = count(found.wanted, "value")
+        words = wording.count(found.wanted, "value")
         taken = f"{found.taken} of {words} would be called identifiable but for {reasons}."
     if not found.voids:
         return (taken,) if taken else ()
@@ -80,20 +70,21 @@ def _what_is_void(result: Result, found: Remaining) -> str:
     bands = {f for v in found.voids for f in v.about.bands_hz}
     where = ""
     if all(v.about.bands_hz for v in found.voids) and len(bands) < len(centres):
-        where = f" at {band_ranges(centres, np.isin(centres, sorted(bands)))}"
+        where = f" at {wording.band_ranges(centres, np.isin(centres, sorted(bands)))}"
     why = ""
     if not found.taken:  # else the next sentence says it
         codes = ", ".join(f.code.value for f in found.voids)
-        why = f": {listing([REASONS[f.code] for f in found.voids[:2]])} [{codes}]"
+        why = f": {wording.listing([REASONS[f.code] for f in found.voids[:2]])} [{codes}]"
     return f"The walls' absorption{where} is not to be used{why}."
 
 
 def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
     """Yield what is known of the mean absorption of the room, and of its decay."""
     centres, eyring = result.bands.centres_hz, result.eyring_absorption
-    heads = [hertz(float(f)) for f in centres]
+    heads = [wording.hertz(float(f)) for f in centres]
     means = [
-        f"{coefficient(value, 1.0)} ({coefficient(low, 1.0)} to {coefficient(high, 1.0)})"
+        f"{wording.coefficient(value, 1.0)} ({wording.coefficient(low, 1.0)} to "
+        f"{wording.coefficient(high, 1.0)})"
         for value, low, high in result.mean_absorption.T.tolist()
     ]
     chosen = np.flatnonzero(found.mean_usable)
@@ -107,7 +98,7 @@ def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
     left = np.flatnonzero(~found.mean_usable)
     void = [f for f in found.voids if f.code in VOID_ANY_MEAN]
     if void and left.size:
-        where, why = band_ranges(centres, ~found.mean_usable), REASONS[void[0].code]
+        where, why = wording.band_ranges(centres, ~found.mean_usable), REASONS[void[0].code]
         yield f"Not the mean at {where}: {why}, so that no decay time gives it, either."
     elif left.size:
         parts = []
@@ -116,7 +107,7 @@ def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
             if eyring is not None and np.isfinite(found.decay_error[band]):
                 agrees = abs(eyring[band] / result.mean_absorption[0, band] - 1.0) <= _AGREE
                 word = "and" if agrees else "but"
-                beside = f"{word} {coefficient(float(eyring[band]), 1.0)} by Eyring"
+                beside = f"{word} {wording.coefficient(float(eyring[band]), 1.0)} by Eyring"
             parts.append(f"{heads[band]} {means[band]}, {beside}")
         yield (
             "With less trust, because the interval is wide or the fitted decay is not the measured "
@@ -124,9 +115,11 @@ def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
         )
     known = np.flatnonzero(np.isfinite(found.decay_error))[:_MOST_BANDS]
     if known.size:
-        errors = (number(100.0 * float(found.decay_error[j]), 0, signed=True) for j in known)
+        errors = (
+            wording.number(100.0 * float(found.decay_error[j]), 0, signed=True) for j in known
+        )
         off = ", ".join(f"{x} % at {heads[j]}" for x, j in zip(errors, known, strict=True))
-        symbol = parameter(found.decay_name).symbol
+        symbol = wording.parameter(found.decay_name).symbol
         yield f"The predicted decay is off the measured {symbol} by {off} (median over the pairs)."
 
 
@@ -152,7 +145,7 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
     pairs, rows = compared_pairs(answer), []
     known = parameter_keys(pairs)
     early = next((key for key in ("C80_dB", "C50_dB", "D50_percent") if key in known), None)
-    for key in filter(None, (decay_time_key(known), early)):
+    for key in filter(None, (wording.decay_time_key(known), early)):
         compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
         values = np.array([(c.measured, c.jnd, c.null) for c in compared], dtype=np.float64)
         for band in range(len(answer.bands)):
@@ -161,7 +154,7 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
                 rows.append(row)
     if not rows:
         return None
-    which = count(len(pairs), "pair") + " not fitted" * (pairs[0].use == "validate")
+    which = wording.count(len(pairs), "pair") + " not fitted" * (pairs[0].use == "validate")
     columns = ("", "predicted minus measured", "scatter expected", "mean absorption without it")
     caption = f"Where model and measurement disagree audibly, {which}"
     return Table(caption, columns, rows)
@@ -175,7 +168,7 @@ def _disagreement(
     `off` has measured values, errors in JND and the baseline of all pairs, shape (3, n_pairs).
     """
     measured, jnd, baseline = off
-    unit = parameter(key).error_unit
+    unit = wording.parameter(key).error_unit
     step, decimals = {"%": (5.0, 0), "dB": (1.0, 1), "points": (5.0, 1)}[unit]
     if key in DECAY_SCATTER:
         width_hz = float(answer.bands.upper_hz[band] - answer.bands.lower_hz[band])
@@ -185,17 +178,17 @@ def _disagreement(
         scatter = np.full(measured.shape, np.sqrt(np.mean(known**2)) if known.size else np.nan)
     mean, sd = mean_miss(jnd, 0.05 * np.nan_to_num(scatter))
     rms, expected = (float(np.sqrt(np.mean(x**2))) for x in (jnd, scatter))
-    needed = Cell(DASH, ("not its sign",), "missing")
+    needed = Cell(wording.DASH, ("not its sign",), "missing")
     if abs(mean) > max(_AUDIBLE_JND, _BEYOND_SDS * sd):
-        size, kind = number(mean * step, decimals, signed=True), "systematic"
+        size, kind = wording.number(mean * step, decimals, signed=True), "systematic"
         if key in DECAY_SCATTER:
             needed = _needed(answer, scene, band, 0.05 * mean)
     elif rms > 2.0 * _AUDIBLE_JND:
-        size, kind = f"±{number(rms * step, decimals)}", "scatter"
+        size, kind = f"±{wording.number(rms * step, decimals)}", "scatter"
     else:
         return None
-    head = f"{parameter(key).symbol}, {hertz(float(answer.bands.centres_hz[band]))}"
-    beside = known_or(Cell(number(expected * step, decimals), (unit,)), "no others")
+    head = f"{wording.parameter(key).symbol}, {wording.hertz(float(answer.bands.centres_hz[band]))}"
+    beside = known_or(Cell(wording.number(expected * step, decimals), (unit,)), "no others")
     return Cell(head), Cell(f"{size} {unit}", (kind,)), beside, needed
 
 
@@ -209,7 +202,7 @@ def _needed(answer: Result, scene: Scene, band: int, excess: float) -> Cell:
     air *= volume_m3(scene.room.mesh) / float(np.sum(answer.areas_m2))
     needed = (value + air) * (1.0 + excess) - air
     if not 0.0 <= needed <= 1.0:
-        return Cell(DASH, ("none between 0 and 1",), "missing")
+        return Cell(wording.DASH, ("none between 0 and 1",), "missing")
     within, style = ("inside", "") if lower <= needed <= upper else ("outside", "worse")
-    words = f"in place of {coefficient(value, 1.0)}", f"{within} its interval"
-    return Cell(coefficient(needed, 1.0), words, style)
+    words = f"in place of {wording.coefficient(value, 1.0)}", f"{within} its interval"
+    return Cell(wording.coefficient(needed, 1.0), words, style)

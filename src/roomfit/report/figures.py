@@ -23,16 +23,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import write_bytes_atomically, write_text_atomically
+from roomfit.report import wording
 from roomfit.report.blocks import Blocks
-from roomfit.report.wording import (
-    OKABE_ITO,
-    Series,
-    decay_time_key,
-    number,
-    parameter,
-    short_hertz,
-    shortened,
-)
 from roomfit.result import ComparedPair, Result
 from roomfit.signals.decay import jnd_of
 
@@ -169,7 +161,7 @@ def _of_the_page(grey: re.Match[str]) -> str:
 
 def literal(name: str, longest: int = 34) -> str:
     """Return a name to be drawn: cut where it is long, no formula, never hidden from a legend."""
-    shown = shortened(" ".join(name.split()), longest).replace("$", r"\$")
+    shown = wording.shortened(" ".join(name.split()), longest).replace("$", r"\$")
     return f"\N{ZERO WIDTH SPACE}{shown}" if shown.startswith("_") else shown
 
 
@@ -253,13 +245,13 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_locator(FixedLocator(list(named)))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: short_hertz(f)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: wording.short_hertz(f)))
     axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
 
 
 def bands_side_by_side(axes: Axes, centres_hz: FloatArray) -> FloatArray:
     """Give an axis a place for each band, and return the places."""
-    heads = [short_hertz(float(f)) for f in centres_hz]
+    heads = [wording.short_hertz(float(f)) for f in centres_hz]
     every = 3 if len(heads) > 10 else 1
     at = np.arange(len(heads), dtype=np.float64)
     axes.set_xticks(at, [h if k % every == 0 else "" for k, h in enumerate(heads)])
@@ -293,18 +285,18 @@ def absorption_figure(
     for i, axes in enumerate(panels[:n]):
         value = answer.absorption[i]
         rows = (value, answer.lower95[i], answer.upper95[i])
-        _with_intervals(axes, centres, rows, OKABE_ITO[0])
+        _with_intervals(axes, centres, rows, wording.OKABE_ITO[0])
         for label, chosen, look in kinds:
             # an entry of the legend wherever any panel has such points
             if chosen.any():
-                look = {"color": OKABE_ITO[0], "label": say(label), "ls": "none", **look}
+                look = {"color": wording.OKABE_ITO[0], "label": say(label), "ls": "none", **look}
                 axes.plot(centres[chosen[i]], value[chosen[i]], **look)
         if true_absorption is not None:
-            look = {"color": OKABE_ITO[1], "ms": 7, "mew": 2, "label": say("true")}
+            look = {"color": wording.OKABE_ITO[1], "ms": 7, "mew": 2, "label": say("true")}
             axes.plot(centres, true_absorption[i], "x", **look)
         name = literal(answer.materials[i], 20 if n < 3 else 16)
         axes.set_title(name, fontsize=10, loc="left", y=1.0)
-        area = f"{number(float(answer.areas_m2[i]), 1)} m²"
+        area = f"{wording.number(float(answer.areas_m2[i]), 1)} m²"
         words = f"{area}, {int(answer.identifiable[i].sum())}/{len(centres)}"
         axes.set_title(words, fontsize=8, loc="right", color="0.3", y=1.0)
     _with_intervals(panels[n], centres, tuple(answer.mean_absorption), "black")
@@ -386,7 +378,7 @@ def _draw_decay(
     drawn: list[Artist] = []
     if evaluated is not None:
         low, high = evaluated
-        look: dict[str, Any] = {"color": OKABE_ITO[4], "alpha": 0.16, "lw": 0}
+        look: dict[str, Any] = {"color": wording.OKABE_ITO[4], "alpha": 0.16, "lw": 0}
         look |= {"label": "evaluated range", "transform": whole}
         drawn.append(Rectangle((0.0, low), 1.0, high - low, **look))
     if decay.noise_db is not None and decay.noise_db[band] > LOWEST_DB - 15.0:
@@ -395,7 +387,7 @@ def _draw_decay(
     measured, predicted = decay.measured_db[band], decay.predicted_db[band]
     for label, level_db, colour, style in (
         ("measured", measured, "black", "-"),
-        ("predicted", predicted, OKABE_ITO[1], "--"),
+        ("predicted", predicted, wording.OKABE_ITO[1], "--"),
     ):
         observed = np.where(level_db > LOWEST_DB - 15.0, level_db, np.nan)
         kept = np.flatnonzero(np.isfinite(observed))
@@ -420,15 +412,15 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
 
     "" where a measured or a predicted one is missing, None where no measured one is.
     """
-    key = decay_time_key(pair.parameters)
+    key = wording.decay_time_key(pair.parameters)
     if key is None or not np.isfinite(pair.parameters[key].measured[band]):
         return "", None
     measured, predicted = (
-        number(float(x[band]), 2)
+        wording.number(float(x[band]), 2)
         for x in (pair.parameters[key].measured, pair.parameters[key].predicted)
     )
     known = np.isfinite(pair.parameters[key].predicted[band])
-    words = f"{parameter(key).symbol} {measured} → {predicted} s" if known else ""
+    words = f"{wording.parameter(key).symbol} {measured} → {predicted} s" if known else ""
     return words, _EVALUATED_DB[key]
 
 
@@ -437,7 +429,7 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
 
 def decay_time_figure(
     centres_hz: FloatArray,
-    series: Sequence[Series],
+    series: Sequence[wording.Series],
     symbol: str = "T30",
     limits: Sequence[tuple[Sequence[float], float, float]] = (),
 ) -> Figure:
@@ -452,13 +444,13 @@ def decay_time_figure(
     step = jnd_of("T30_s", first)
     # a box a band, wide enough for the marks of all series, which stand side by side
     axes.bar(
-        at, 2.0 * step, 0.5, first - step, color=OKABE_ITO[4], alpha=0.3, lw=0.0,
+        at, 2.0 * step, 0.5, first - step, color=wording.OKABE_ITO[4], alpha=0.3, lw=0.0,
         label="just noticeable difference",
     )  # fmt: skip
     highest = [0.0]
     shift = 0.24 / max(len(series) - 1, 1)
     for i, (one, mark) in enumerate(zip(series, "so^", strict=False)):
-        x, colour = at + shift * i - 0.12, OKABE_ITO[i]
+        x, colour = at + shift * i - 0.12, wording.OKABE_ITO[i]
         if one.lower95_s is not None and one.upper95_s is not None:
             axes.vlines(x, one.lower95_s, one.upper95_s, color=colour, lw=1.8)
             known = one.upper95_s[np.isfinite(one.upper95_s)]

@@ -14,23 +14,9 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.encoding import finding_of
 from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
 from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
+from roomfit.report import wording
 from roomfit.report.blocks import Block, Blocks, Drawing, Findings, Numbers, Part, Sentence
 from roomfit.report.tables import bounded_cells
-from roomfit.report.wording import (
-    DASH,
-    MID_HZ,
-    PARAMETERS,
-    Series,
-    band_tables,
-    decay_time_key,
-    hertz,
-    in_file_name,
-    mid_mean,
-    mid_words,
-    number,
-    parameter,
-    with_interval,
-)
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
@@ -41,7 +27,9 @@ if TYPE_CHECKING:
     from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
 
-SHOWN = tuple((name, f"{p.symbol} {p.unit}".rstrip(), p.decimals) for name, p in PARAMETERS.items())
+SHOWN = tuple(
+    (name, f"{p.symbol} {p.unit}".rstrip(), p.decimals) for name, p in wording.PARAMETERS.items()
+)
 """Parameters in the order of tables, each with its label and its decimals."""
 
 
@@ -54,7 +42,7 @@ class DecayAnswer(NamedTuple):
     symbol: str  # T30, or what is known in its place
     sentence: str  # of the mean at mid frequencies
     centres_hz: FloatArray
-    series: tuple[Series, ...]
+    series: tuple[wording.Series, ...]
 
     def drawing(self, limits: Sequence[tuple[Sequence[float], float, float]] = ()) -> Drawing:
         """Return the decay time over frequency, with limits where there are some."""
@@ -83,47 +71,51 @@ def decay_answer(
     """
     known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
     # T30 is what a client asks for
-    name = "T30_s" if "T30_s" in known else decay_time_key(known)
+    name = "T30_s" if "T30_s" in known else wording.decay_time_key(known)
     if name is None:
         return None
-    v, symbol, centres_hz = means[name], parameter(name).symbol, bands.centres_hz
-    what, is_measured = f"{symbol} at {mid_words(centres_hz)}", np.isfinite(v.measured)
+    v, symbol, centres_hz = means[name], wording.parameter(name).symbol, bands.centres_hz
+    what, is_measured = f"{symbol} at {wording.mid_words(centres_hz)}", np.isfinite(v.measured)
     if not is_changed or v.change is None:
         label = after if is_changed else "predicted"
-        later = Series(label, v.predicted, v.lower95, v.upper95)
-        text = f"{what} is predicted as {with_interval(*later.mid_s(centres_hz))}"
+        later = wording.Series(label, v.predicted, v.lower95, v.upper95)
+        text = f"{what} is predicted as {wording.with_interval(*later.mid_s(centres_hz))}"
         if is_changed or not is_measured.any():
             return DecayAnswer(symbol, f"{text}.", centres_hz, (later,))
-        earlier = Series("measured", v.measured)
-        text += f"; measured {number(earlier.mid_s(centres_hz)[0], 2)} s."
+        earlier = wording.Series("measured", v.measured)
+        text += f"; measured {wording.number(earlier.mid_s(centres_hz)[0], 2)} s."
         return DecayAnswer(symbol, text, centres_hz, (earlier, later))
     c = v.change
-    later = Series(after, v.predicted, v.lower95, v.upper95)
+    later = wording.Series(after, v.predicted, v.lower95, v.upper95)
     # where a measured mean has an interval of its own, it stands in place of a model's
     is_alone = is_measured & (c.before != v.measured)
     first = "measured before" if is_measured.all() else "predicted before"
     if is_measured.any() and not is_measured.all():
         first = "before, measured where it was"
     bounds = (np.where(is_alone, np.nan, x) for x in (c.before_lower95, c.before_upper95))
-    earlier = Series(before or first, np.where(is_measured, v.measured, c.before), *bounds)
+    earlier = wording.Series(before or first, np.where(is_measured, v.measured, c.before), *bounds)
     # of a band that the mid frequencies are made of
-    mid = np.isin(centres_hz, MID_HZ)
+    mid = np.isin(centres_hz, wording.MID_HZ)
     unknown = is_undetermined(name, c) & (mid if mid.any() else True)
     why = next((w for w, is_open in zip(open_for, unknown, strict=False) if w and is_open), "")
-    factor = Series("", c.change, c.change_lower95, c.change_upper95).mid_s(centres_hz)
+    factor = wording.Series("", c.change, c.change_lower95, c.change_upper95).mid_s(centres_hz)
     text = f"{what} {_change_words(earlier, later, factor, why, centres_hz)}."
     return DecayAnswer(symbol, text, centres_hz, (earlier, later))
 
 
 def _change_words(
-    earlier: Series, later: Series, factor: Sequence[float], why: str, centres_hz: FloatArray
+    earlier: wording.Series,
+    later: wording.Series,
+    factor: Sequence[float],
+    why: str,
+    centres_hz: FloatArray,
 ) -> str:
     """Return what a decay time does at mid frequencies, or `why` that is not determined."""
     (value, low, high), then = earlier.mid_s(centres_hz), later.mid_s(centres_hz)
-    now, after = f"{number(value, 2)} s", with_interval(*then)
+    now, after = f"{wording.number(value, 2)} s", wording.with_interval(*then)
     label = earlier.label.removesuffix(" before")
     if np.isfinite([low, high]).all():
-        label += f", {number(low, 2)} to {number(high, 2)}"
+        label += f", {wording.number(low, 2)} to {wording.number(high, 2)}"
     if why:
         return f"is {now} ({label}); what the change does to it is not determined ({why})"
     if abs(then[0] - value) < 0.005:
@@ -175,7 +167,7 @@ def describe(predicted: Predicted) -> Blocks:
 
     def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
         rows = parameter_rows(named_values(values, None), is_changed=is_changed, open_for=open_for)
-        return band_tables(title, "parameter", centres_hz, rows)
+        return wording.band_tables(title, "parameter", centres_hz, rows)
 
     named = [(f"{p.source} to {p.receiver}, {_USES[p.use]}", p) for p in predicted.pairs]
     sti = [("mean over the pairs", predicted.sti), *((title, p.sti) for title, p in named)]
@@ -212,7 +204,7 @@ def pair_drawings(predicted: Predicted) -> tuple[Drawing, ...]:
     """Return the decay curves of the first pairs, which are files beside the page."""
     pairs = predicted.pairs[:_MOST_PICTURES]
     names = tuple(
-        f"predicted_{i:02d}_{in_file_name(pair.source, pair.receiver)}"
+        f"predicted_{i:02d}_{wording.in_file_name(pair.source, pair.receiver)}"
         for i, pair in enumerate(pairs, start=1)
     )
     maker = "prediction_figures.predicted_decay_figure"
@@ -225,7 +217,7 @@ def grid_drawings(predicted: Predicted, scene: Scene) -> tuple[Drawing, ...]:
     maker, of = "prediction_figures.grid_figure", (predicted, scene)
     sources = dict.fromkeys(pair.source for pair in predicted.pairs)
     return tuple(
-        Drawing(f"grid_{i:02d}_{in_file_name(source)}", "Maps", "", maker, (*of, source))
+        Drawing(f"grid_{i:02d}_{wording.in_file_name(source)}", "Maps", "", maker, (*of, source))
         for i, source in enumerate(sources, start=1)
     )
 
@@ -243,10 +235,10 @@ def _numbers(predicted: Predicted) -> Iterator[tuple[str, str]]:
         if key not in ("C50_dB", "STI", "G_dB") or v is None:
             continue
         rows = (v.predicted, v.lower95, v.upper95)
-        values = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
-        value, low, high = (number(x, decimals) for x in values)
-        if value != DASH:
-            where = "" if key == "STI" else f" at {mid_words(centres)}"
+        values = ((r[0] if key == "STI" else wording.mid_mean(centres, r)) for r in rows)
+        value, low, high = (wording.number(x, decimals) for x in values)
+        if value != wording.DASH:
+            where = "" if key == "STI" else f" at {wording.mid_words(centres)}"
             yield value, f"{label}{where}, predicted; {low} to {high} at 95 %"
 
 
@@ -272,7 +264,7 @@ def parameter_rows(
         has_measured = bool(np.isfinite(v.measured).any())
         steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
         measured = [
-            Cell(number(m, decimals), (step,) if step else ())
+            Cell(wording.number(m, decimals), (step,) if step else ())
             for m, step in zip(v.measured, steps, strict=True)
         ]
         predicted = _with_bounds(decimals, v.predicted, v.lower95, v.upper95)
@@ -288,7 +280,7 @@ def parameter_rows(
             lines["expected after"] = predicted
             lines |= dict([_change_cells(name, c, decimals, open_for)])
             if name == "T30_s" and np.isfinite(c.sabine).any():
-                lines["after, by Sabine"] = [Cell(number(s, decimals)) for s in c.sabine]
+                lines["after, by Sabine"] = [Cell(wording.number(s, decimals)) for s in c.sabine]
         if not has_measured:
             of_measured = ("measured", "measured before")
             lines = {what: cells for what, cells in lines.items() if what not in of_measured}
@@ -305,7 +297,7 @@ def _change_cells(
 ) -> tuple[str, list[Cell]]:
     """Return the name of a change with its unit, and its cells."""
     rows = np.array([c.change, c.change_lower95, c.change_upper95])
-    label = f"change {parameter(name).unit.replace('%', 'points')}".rstrip()
+    label = f"change {wording.parameter(name).unit.replace('%', 'points')}".rstrip()
     if name in FIT_RANGES_DB:
         label, decimals, rows = "change %", 0, 100.0 * (rows - 1.0)
     cells, unknown = _with_bounds(decimals, *rows, signed=True), is_undetermined(name, c)
@@ -319,8 +311,8 @@ def _with_bounds(decimals: int, *rows: FloatArray, signed: bool = False) -> list
     """Return cells of values, lower and upper bounds."""
     cells = []
     for each in zip(*rows, strict=True):
-        value, low, high = (number(x, decimals, signed=signed) for x in each)
-        cells.append(Cell(value, () if value == DASH else (f"{low} to {high}",)))
+        value, low, high = (wording.number(x, decimals, signed=signed) for x in each)
+        cells.append(Cell(value, () if value == wording.DASH else (f"{low} to {high}",)))
     return cells
 
 
@@ -355,9 +347,9 @@ def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
     """Return the mean by Eyring, decay times, and mean and materials by each formula."""
     centres = found.bands.centres_hz
     measured = zip(found.decay_s.tolist(), found.decay_sd_s.tolist(), strict=True)
-    times = [f"{number(t, 2)} +- {number(sd, 2)}" for t, sd in measured]
+    times = [f"{wording.number(t, 2)} +- {wording.number(sd, 2)}" for t, sd in measured]
     tables = list(
-        band_tables(
+        wording.band_tables(
             "Mean over positions, with its standard deviation", "", centres,
             [("decay time, s", *times)],
         )
@@ -367,11 +359,13 @@ def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
         rows = [(name, *bounded_cells(values)) for name, values in named]
         rows.append((Cell("mean of the room", style="total"), *bounded_cells(mean)))
         caption = f"Absorption by {formula}, 95 % interval; materials are their priors, moved"
-        tables += band_tables(caption, "material", centres, rows)
+        tables += wording.band_tables(caption, "material", centres, rows)
     middle = int(np.argmin(np.abs(np.log(centres / 500.0))))
-    value, low, high = (number(x, 2) for x in found.mean[FORMULAS.index("Eyring"), :, middle])
+    value, low, high = (
+        wording.number(x, 2) for x in found.mean[FORMULAS.index("Eyring"), :, middle]
+    )
     lead = (
-        f"By Eyring the mean absorption of the room at {hertz(centres[middle])} is {value} "
+        f"By Eyring the mean absorption of the room at {wording.hertz(centres[middle])} is {value} "
         f"({low} to {high})."
     )
     head = (Sentence(lead, "lead"), Sentence(_DIFFUSE))

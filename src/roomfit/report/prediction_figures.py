@@ -20,28 +20,9 @@ from roomfit.design.output import mean_widths
 from roomfit.design.positions import Design
 from roomfit.predict.grid import MAPPED
 from roomfit.predict.prediction import Predicted, PredictedPair, named_values
-from roomfit.report.figures import (
-    CURVES,
-    LOWEST_DB,
-    bands_side_by_side,
-    decay_panels,
-    figure_legend,
-    grid_of,
-    literal,
-    new_figure,
-    title_of_pair,
-    words_of_panel,
-)
+from roomfit.report import figures, wording
 from roomfit.report.predicted import SHOWN
 from roomfit.report.room_figure import draw_edges, draw_faces, drawn_faces, outline_m
-from roomfit.report.wording import (
-    COLOURS,
-    OKABE_ITO,
-    decay_time_key,
-    mid_mean,
-    mid_words,
-    parameter,
-)
 from roomfit.room.scene import Scene, triangle_material
 from roomfit.treat.arrangements import Treatment
 
@@ -59,18 +40,18 @@ def change_figure(predicted: Predicted) -> Figure:
     rows = [(n, x, v, v.change) for n, x, v in shown if v.change is not None]
     rows = [row for row in rows if np.isfinite(row[3].change).any()]
     n = -(-len(rows) // 2)
-    figure, panels = grid_of(n, 2, 9.0, 2.2 * n + 0.8)
+    figure, panels = figures.grid_of(n, 2, 9.0, 2.2 * n + 0.8)
     for unused in panels[len(rows) :]:
         unused.set_visible(False)
     for axes, (name, label, v, c) in zip(panels, rows, strict=False):
         is_sti = name == "STI"
-        at = bands_side_by_side(axes, predicted.bands.centres_hz[: 1 if is_sti else None])
+        at = figures.bands_side_by_side(axes, predicted.bands.centres_hz[: 1 if is_sti else None])
         if is_sti:
             axes.set_xticks(at, ["125 to 8000"])
         series = (
             ("measured before", "black", v.measured, v.measured, v.measured),
-            ("expected before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
-            ("expected after", OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
+            ("expected before", wording.OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
+            ("expected after", wording.OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
         )
         for i, (text, color, middle, low, high) in enumerate(series):
             x = at + 0.2 * (i - 1.0)
@@ -78,8 +59,8 @@ def change_figure(predicted: Predicted) -> Figure:
             axes.plot(x, middle, "o", color=color, ms=4, label=text)
         axes.set_title(label, fontsize=9, y=1.0)
     figure.supxlabel("frequency (Hz)", fontsize=10)
-    words = "mean with " + literal("; ".join(predicted.changes), 80)
-    figure_legend(figure, 3, words, gaps_in=(0.5, 0.55))
+    words = "mean with " + figures.literal("; ".join(predicted.changes), 80)
+    figures.figure_legend(figure, 3, words, gaps_in=(0.5, 0.55))
     return figure
 
 
@@ -88,20 +69,20 @@ def predicted_decay_figure(predicted: Predicted, *pairs: PredictedPair) -> Figur
 
     Of several pairs those of each are in a group, as in `decay_figure`.
     """
-    figure, panels = decay_panels(predicted.bands.centres_hz)
+    figure, panels = figures.decay_panels(predicted.bands.centres_hz)
     shown_s = 1e-3
     for i, pair in enumerate(pairs):
-        group = f"{CURVES}{i}" if len(pairs) > 1 else None
+        group = f"{figures.CURVES}{i}" if len(pairs) > 1 else None
         for j, axes in enumerate(panels):
             _draw_predicted(axes, predicted, pair, j, group)
-        known = np.any(pair.decay.predicted_db > LOWEST_DB, axis=0)
+        known = np.any(pair.decay.predicted_db > figures.LOWEST_DB, axis=0)
         shown_s = max(shown_s, float(pair.decay.time_s[known].max(initial=0.0)))
-        title = f"{literal(pair.source)} to {literal(pair.receiver)}"
+        title = f"{figures.literal(pair.source)} to {figures.literal(pair.receiver)}"
         if predicted.changes:
-            title += " with " + literal("; ".join(predicted.changes), 80)
-        title_of_pair(figure, title, group)
+            title += " with " + figures.literal("; ".join(predicted.changes), 80)
+        figures.title_of_pair(figure, title, group)
     panels[0].set_xlim(0.0, shown_s)
-    figure_legend(figure, 3, " ")
+    figures.figure_legend(figure, 3, " ")
     return figure
 
 
@@ -114,13 +95,13 @@ def _draw_predicted(
     label = "95 % interval (absorption alone)"
     low, high = (np.column_stack((decay.time_s, y[band])) for y in (decay.lower_db, decay.upper_db))
     known = np.isfinite(low + high).all(axis=1)
-    look: dict[str, Any] = {"color": OKABE_ITO[1], "alpha": 0.25, "lw": 0.0}
+    look: dict[str, Any] = {"color": wording.OKABE_ITO[1], "alpha": 0.25, "lw": 0.0}
     area = np.concatenate((low[known], high[known][::-1]))
     drawn: list[Artist] = [Polygon(area, label=label, **look)] if known.any() else []
     for label, level_db, colour, style in (
-        ("predicted before the change", decay.before_db, OKABE_ITO[0], "--"),
+        ("predicted before the change", decay.before_db, wording.OKABE_ITO[0], "--"),
         (measured, decay.measured_db, "black", "-"),
-        (now, decay.predicted_db, OKABE_ITO[1], "-"),
+        (now, decay.predicted_db, wording.OKABE_ITO[1], "-"),
     ):
         if level_db is not None:
             look = {"color": colour, "lw": 1.5, "ls": style}
@@ -128,10 +109,10 @@ def _draw_predicted(
     for artist in drawn:
         artist.set_gid(group)
         axes.add_artist(artist)
-    key = decay_time_key(times)
+    key = wording.decay_time_key(times)
     if key is not None and np.isfinite(times[key].predicted[band]):
-        words = f"{parameter(key).symbol} {times[key].predicted[band]:.2f} s"
-        words_of_panel(axes, words, group)
+        words = f"{wording.parameter(key).symbol} {times[key].predicted[band]:.2f} s"
+        figures.words_of_panel(axes, words, group)
 
 
 def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
@@ -146,10 +127,10 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
     at_m = np.array([positions[p.receiver] for p in pairs])
     here_m = next(p.position_m for p in scene.sources if p.name == source)
     x_m, y_m, cells = _cells(at_m[:, :2])
-    figure = new_figure(9.0, 2.8 * len(maps) + 0.6)
+    figure = figures.new_figure(9.0, 2.8 * len(maps) + 0.6)
     panels = figure.subplots(len(maps), 2, squeeze=False)
     for row, (name, both) in zip(panels, maps.items(), strict=True):
-        how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
+        how, where = wording.parameter(name), f", {wording.mid_words(predicted.bands.centres_hz)}"
         unit = f" ({how.unit})" if how.unit else ""
         words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
         titles = (words, f"width of its 95 % interval{unit}")
@@ -161,7 +142,7 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
             axes.set_title(title, fontsize=9)
             axes.set_aspect("equal")
             figure.colorbar(drawn, ax=axes)
-    figure.suptitle(f"From {literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
+    figure.suptitle(f"From {figures.literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
     return figure
 
 
@@ -187,7 +168,7 @@ def _mid_values(predicted: Predicted, pairs: list[PredictedPair], name: str) -> 
     for pair in pairs:
         v = named_values(pair.parameters, pair.sti).get(name)
         both = () if v is None else (v.predicted, v.upper95 - v.lower95)
-        rows.append([mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
+        rows.append([wording.mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
     return np.array(rows).T
 
 
@@ -200,7 +181,7 @@ def treatment_figure(treatment: Treatment) -> Figure:
     The less of a surface is covered the paler it is; covered walls towards the viewer are seen
     through.
     """
-    figure, (axes,) = grid_of(1, 1, 6.4, 4.4)
+    figure, (axes,) = figures.grid_of(1, 1, 6.4, 4.4)
     room = treatment.room.scene.room
     texts: dict[str, list[str]] = {}
     covered: dict[str, float] = {}
@@ -210,7 +191,7 @@ def treatment_figure(treatment: Treatment) -> Figure:
         covered[h.surface] = covered.get(h.surface, 0.0) + h.share
     colours = {}
     for i, (name, share) in enumerate(covered.items()):
-        full = np.array(to_rgb(COLOURS[i % len(COLOURS)]))
+        full = np.array(to_rgb(wording.COLOURS[i % len(wording.COLOURS)]))
         colours[name] = to_hex(tuple(1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - full)))
     faces = drawn_faces(room)
     owner = np.array(room.materials)[triangle_material(room)]
@@ -224,7 +205,11 @@ def treatment_figure(treatment: Treatment) -> Figure:
     draw_edges(axes, room)
     axes.set_aspect("equal")
     handles = [
-        Patch(facecolor=colours[s], edgecolor="#777777", label=literal(f"{s}: {', '.join(t)}", 60))
+        Patch(
+            facecolor=colours[s],
+            edgecolor="#777777",
+            label=figures.literal(f"{s}: {', '.join(t)}", 60),
+        )
         for s, t in texts.items()
     ]
     handles.append(Patch(facecolor="#EEEEEE", edgecolor="#777777", label="as it is"))
@@ -235,7 +220,7 @@ def treatment_figure(treatment: Treatment) -> Figure:
 
 # ---------------------------------------------------------------- designs
 
-_BLUE, _ORANGE, _GREY = OKABE_ITO[0], OKABE_ITO[1], "0.62"
+_BLUE, _ORANGE, _GREY = wording.OKABE_ITO[0], wording.OKABE_ITO[1], "0.62"
 _MAP_IN = 8.6
 
 
@@ -245,7 +230,9 @@ def design_map(design: Design) -> Figure:
     size = np.ptp(design.scene.room.mesh.vertices_m, axis=0)
     across = _MAP_IN - 1.1
     tall = [min(across * max(size[i] / max(size[0], 1e-9), 0.18), 7.0) for i in (1, 2)]
-    figure, (plan, side) = grid_of(2, 1, _MAP_IN, sum(tall) + 2.1, sharex=True, height_ratios=tall)
+    figure, (plan, side) = figures.grid_of(
+        2, 1, _MAP_IN, sum(tall) + 2.1, sharex=True, height_ratios=tall
+    )
     for axes, up, title, label in (
         (plan, 1, "from above", "y (m)"),
         (side, 2, "from the side", "z (m)"),
@@ -258,7 +245,7 @@ def design_map(design: Design) -> Figure:
         axes.set_aspect("equal")
         axes.margins(0.03)
     side.set_xlabel("x (m)")
-    figure_legend(figure, 3)
+    figures.figure_legend(figure, 3)
     return figure
 
 
@@ -287,15 +274,15 @@ def _draw_pairs(axes: Axes, design: Design, up: int) -> None:
         )  # fmt: skip
     for s in np.unique(pairs[:, 0]):
         axes.annotate(
-            literal(scene.sources[s].name), sources[s], xytext=(7, 5), textcoords="offset points",
-            fontsize=8, color=_ORANGE, zorder=5,
+            figures.literal(scene.sources[s].name), sources[s], xytext=(7, 5),
+            textcoords="offset points", fontsize=8, color=_ORANGE, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )  # fmt: skip
 
 
 def design_gain(design: Design) -> Figure:
     """Return the expected mean interval against the number of pairs, beside random designs."""
-    figure = new_figure(6.4, 4.0)
+    figure = figures.new_figure(6.4, 4.0)
     axes = figure.subplots()
     reached = np.isfinite(design.random_means).any(axis=0)
     if len(design.random_means):

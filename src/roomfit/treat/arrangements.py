@@ -24,16 +24,7 @@ from roomfit.predict.tables import predicted_means
 from roomfit.result import result_doubts
 from roomfit.room.scene import pair_names
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
-from roomfit.treat.question import (
-    Problem,
-    Product,
-    Surface,
-    Target,
-    problem_of,
-    rows_of,
-    treated,
-    treated_draws,
-)
+from roomfit.treat import question
 from roomfit.treat.search import MET, best_arrangement, excess
 
 # Arrangements of which more of the area hangs alike are one, within the tolerance of products.
@@ -82,7 +73,7 @@ class Treatment(Shown):
 
     described_in: ClassVar[str] = "treated"
     bands: Bands
-    targets: tuple[Target, ...]
+    targets: tuple[question.Target, ...]
     arrangements: tuple[Arrangement, ...]
     is_met: bool  # by the likeliest prediction; each as likely as asked for where that is above 0.5
     room: ChangingRoom
@@ -96,9 +87,9 @@ class Treatment(Shown):
 @one_blas_thread
 def treat(
     room: ChangingRoom,
-    surfaces: Sequence[Surface],
-    products: Sequence[Product],
-    targets: Sequence[Target],
+    surfaces: Sequence[question.Surface],
+    products: Sequence[question.Product],
+    targets: Sequence[question.Target],
     *,
     number: int = 3,
     probability: float = 0.5,
@@ -137,7 +128,7 @@ def treat(
     """
     check_range("the probability of meeting a target", probability, 0.5, 0.99)
     in_words = _before_in_words(room)
-    problem = problem_of(room, surfaces, products, targets)
+    problem = question.problem_of(room, surfaces, products, targets)
     known: dict[tuple[float, ...], _Outcome] = {}
 
     def best(margin: FloatArray, excluded: Sequence[BoolArray]) -> _Outcome:
@@ -167,7 +158,7 @@ def treat(
 
 
 def _cheapest(
-    problem: Problem,
+    problem: question.Problem,
     best: Callable[[FloatArray, Sequence[BoolArray]], _Outcome],
     number: int,
     probability: float,
@@ -205,7 +196,7 @@ def _cheapest(
     return found, bool(met)
 
 
-def _in_common(problem: Problem, one: FloatArray, other: FloatArray) -> float:
+def _in_common(problem: question.Problem, one: FloatArray, other: FloatArray) -> float:
     """Return which share of the area two arrangements hang in the same places."""
     both, larger = (
         float(problem.piece_m2 @ pieces)
@@ -251,20 +242,20 @@ class _Outcome(NamedTuple):
 
 
 def _outcome(
-    problem: Problem, pieces: FloatArray, searched: FloatArray, probability: float
+    problem: question.Problem, pieces: FloatArray, searched: FloatArray, probability: float
 ) -> _Outcome:
     """Return what an arrangement does, with draws and odds of every row."""
     means, drawn = _means_and_draws(
-        problem.room, treated(problem, pieces), treated_draws(problem, pieces)
+        problem.room, question.treated(problem, pieces), question.treated_draws(problem, pieces)
     )
-    rows, numbers = rows_of(problem, drawn), _numbers_of(problem, means)
+    rows, numbers = question.rows_of(problem, drawn), _numbers_of(problem, means)
     odds = _odds(problem, means, numbers, rows)
     missed = _missed(problem, numbers, odds.mean(axis=0), probability)
     cost = float(problem.cost @ pieces)
     return _Outcome(pieces, searched, numbers, cost, means, rows, odds, missed)
 
 
-def _numbers_of(problem: Problem, means: _Means, kind: str = "predicted") -> FloatArray:
+def _numbers_of(problem: question.Problem, means: _Means, kind: str = "predicted") -> FloatArray:
     """Return what a table of means has of every row: what is predicted, or another number of it."""
     table = named_values(*means)
     own = [getattr(table[problem.targets[t].parameter], kind) for t in problem.target]
@@ -272,21 +263,23 @@ def _numbers_of(problem: Problem, means: _Means, kind: str = "predicted") -> Flo
     return np.array([np.sum(np.where(w > 0.0, w * x, 0.0)) for w, x in each])
 
 
-def _of_targets(problem: Problem, odds: FloatArray) -> tuple[FloatArray, float]:
+def _of_targets(problem: question.Problem, odds: FloatArray) -> tuple[FloatArray, float]:
     """Return the odds of each target in all its bands, (n_targets,), and of all targets."""
     n = len(problem.targets)
     each = [np.mean(np.prod(odds[:, problem.target == t], axis=1)) for t in range(n)]
     return np.array(each), float(np.mean(np.prod(odds, axis=1)))
 
 
-def _odds(problem: Problem, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
+def _odds(
+    problem: question.Problem, means: _Means, numbers: FloatArray, rows: FloatArray
+) -> FloatArray:
     """Return the probability that each draw is measured within its limits, as `rows`."""
     sd = _rest_sd(problem, means, numbers)
     drawn, low, high = (_in_logs(problem, x) for x in (rows, problem.low, problem.high))
     return np.asarray(np.nan_to_num(ndtr((high - drawn) / sd) - ndtr((low - drawn) / sd)))
 
 
-def _in_logs(problem: Problem, rows: FloatArray) -> FloatArray:
+def _in_logs(problem: question.Problem, rows: FloatArray) -> FloatArray:
     """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
     return np.where(problem.is_time, np.log(np.maximum(rows, 1e-9)), rows)
 
@@ -306,7 +299,7 @@ def _means_and_draws(
     return (means, sti), drawn
 
 
-def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray:
+def _rest_sd(problem: question.Problem, means: _Means, numbers: FloatArray) -> FloatArray:
     """Return of each row the spread that is not the absorption's, alike in all its bands.
 
     Of logarithms of decay times, as their intervals are widened: a time is never 0.
@@ -317,7 +310,7 @@ def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray
     return np.asarray(np.maximum(found, 1e-9))
 
 
-def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
+def _margin(problem: question.Problem, one: _Outcome, probability: float) -> FloatArray:
     """Return by how much each row must keep its limits to meet them with some probability.
 
     The quantile of what may be measured, beside the number of the search: draws are not symmetric
@@ -337,7 +330,7 @@ def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
     return np.asarray(np.maximum(below, above) + MET * problem.scale)
 
 
-def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrangement:
+def _arrangement(problem: question.Problem, one: _Outcome, before: FloatArray) -> Arrangement:
     pieces, (odds, joint) = one.pieces, _of_targets(problem, one.odds)
     materials = problem.room.absorption.materials
     hung = []
@@ -362,7 +355,7 @@ def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrange
 
 
 def _missed(
-    problem: Problem, numbers: FloatArray, odds: FloatArray, probability: float
+    problem: question.Problem, numbers: FloatArray, odds: FloatArray, probability: float
 ) -> tuple[str, ...]:
     """Return in words what the likeliest prediction misses, or what is less likely than asked."""
     low, high, short = problem.low, problem.high, odds < probability
@@ -393,7 +386,7 @@ def apart(value: float, other: float, decimals: int) -> tuple[str, str]:
 
 
 def _decisive(
-    problem: Problem, pieces: FloatArray, rows: FloatArray
+    problem: question.Problem, pieces: FloatArray, rows: FloatArray
 ) -> tuple[tuple[str, float], ...]:
     """Return whose absorption goes with the draws of some rows: largest squared correlations."""
     room = problem.room
@@ -413,7 +406,7 @@ def _decisive(
 
 
 def _findings(
-    problem: Problem,
+    problem: question.Problem,
     arrangements: Sequence[Arrangement],
     first: _Outcome,
     probability: float,

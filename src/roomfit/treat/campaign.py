@@ -34,16 +34,8 @@ from roomfit.materials.catalogue import catalogue_prior
 from roomfit.predict.changes import Change
 from roomfit.room.scene import Room, Scene
 from roomfit.signals.decay import jnd_of
+from roomfit.treat import question
 from roomfit.treat.polygons import forbidden_area_m2
-from roomfit.treat.question import (
-    USUAL_HZ,
-    Product,
-    Surface,
-    Target,
-    columns_of,
-    row_weights,
-    target_name,
-)
 from roomfit.treat.standards import standard_target
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -143,7 +135,7 @@ def treat_arguments(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Return a treatment file as arguments, and what is in doubt about its standards."""
     surfaces = tuple(
-        Surface(
+        question.Surface(
             name,
             s.free_m2,
             float(np.sum(s.forbidden_m2)) + _forbidden_m2(path, name, s.forbidden, scene.room),
@@ -156,19 +148,19 @@ def treat_arguments(
     for name, p in table.products.items():
         with located(f'{path}, products."{name}"'):
             products.append(_product(name, p, known))
-    targets: list[Target] = []
+    targets: list[question.Target] = []
     findings: list[Finding] = []
     for i, t in enumerate(table.targets, start=1):
         with located(f"{path}, targets[{i}]"):
             target, doubts = _target(t, scene.room)
-            row_weights(target, known.bands)
+            question.row_weights(target, known.bands)
             if not target.bands_hz and target.parameter != "STI":  # those that are left are named
-                usual = tuple(f for f in USUAL_HZ if f in known.bands.centres_hz)
+                usual = tuple(f for f in question.USUAL_HZ if f in known.bands.centres_hz)
                 target = replace(target, bands_hz=usual)
             targets.append(target)
             findings += doubts
     with located(str(path)):
-        columns_of(scene, surfaces, products)
+        question.columns_of(scene, surfaces, products)
     return {
         "surfaces": surfaces,
         "products": tuple(products),
@@ -195,7 +187,7 @@ def _forbidden_m2(
         return forbidden_area_m2(room, name, [np.array(corners) for corners in polygons])
 
 
-def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product:
+def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> question.Product:
     bands = known.bands
     hint = "keep what is known best, and leave the others out"
     what, known_by = "a product has not one absorption", ("absorption", "catalogue", "material")
@@ -212,7 +204,9 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product
     else:
         mean = _in_bands(cast("float | list[float] | Spectrum", table.absorption), bands)
         sd = np.where((mean > 0.0) & (mean < 1.0), 0.05 if table.sd is None else table.sd, 0.0)
-    return Product(name, mean, sd, table.cost_per_m2, table.piece_m2, table.depth_m, entry or "")
+    return question.Product(
+        name, mean, sd, table.cost_per_m2, table.piece_m2, table.depth_m, entry or ""
+    )
 
 
 def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> FloatArray:
@@ -227,7 +221,7 @@ def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> Float
     return np.broadcast_to(found, len(bands)).copy()
 
 
-def _target(table: TargetTable, room: Room) -> tuple[Target, tuple[Finding, ...]]:
+def _target(table: TargetTable, room: Room) -> tuple[question.Target, tuple[Finding, ...]]:
     if table.standard is not None:
         own = table.model_fields_set - {"standard"}
         if own:
@@ -238,14 +232,14 @@ def _target(table: TargetTable, room: Room) -> tuple[Target, tuple[Finding, ...]
                 hint="write the limits below a [[targets]] of their own",
             )
         return standard_target(table.standard, room)
-    name = target_name(table.parameter)
+    name = question.target_name(table.parameter)
     low = -np.inf if table.at_least is None else table.at_least
     high = np.inf if table.at_most is None else table.at_most
     if table.value is not None:
         wide = table.tolerance
         wide = float(jnd_of(name, np.array(table.value))) if wide is None else wide
         low, high = max(low, table.value - wide), min(high, table.value + wide)
-    return Target(name, low, high, tuple(table.bands_hz), table.mean_of_bands), ()
+    return question.Target(name, low, high, tuple(table.bands_hz), table.mean_of_bands), ()
 
 
 def schema_text(of: str) -> str:

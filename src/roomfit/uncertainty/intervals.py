@@ -25,16 +25,7 @@ from roomfit.model.parameters import (
 )
 from roomfit.model.problem import Objective
 from roomfit.solver import BandFit, score_band
-from roomfit.uncertainty.gaussian import (
-    LARGEST_CHI2_REDUCED,
-    WIDEST_IDENTIFIABLE,
-    BandEstimate,
-    DecayRate,
-    FittedBand,
-    MirrorTrial,
-    leaders_of,
-    prior_absorptions,
-)
+from roomfit.uncertainty import gaussian
 from roomfit.uncertainty.posterior import band_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import posterior_draws
@@ -59,7 +50,7 @@ class Refinement:
     exchanges: tuple[IntArray, ...] = ()
     n_draws: int = 0  # for predictions, of bands without responses: there they are not Gaussian
 
-    def __call__(self, band: FittedBand) -> BandEstimate:
+    def __call__(self, band: gaussian.FittedBand) -> gaussian.BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
         answer, objective, fit, _ = band
         if objective is None or fit is None or fit.vector.size == 0:
@@ -78,7 +69,7 @@ class Refinement:
         return profiled(band._replace(estimate=answer)) if self.profiles else answer
 
 
-def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
+def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> gaussian.MirrorTrial:
     """Return where a second fit ends that begins with the absorptions exchanged."""
     block = absorption_of(objective.parameters)
     values, _ = physical_values(objective.parameters, fit.vector)
@@ -88,10 +79,10 @@ def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorT
     other = score_band(objective, start)
     there, _ = physical_values(objective.parameters, other.vector)
     gain = other.log_likelihood - fit.log_likelihood
-    return MirrorTrial(there["absorption"], gain, other.evaluations)
+    return gaussian.MirrorTrial(there["absorption"], gain, other.evaluations)
 
 
-def profiled(band: FittedBand) -> BandEstimate:
+def profiled(band: gaussian.FittedBand) -> gaussian.BandEstimate:
     """Return the estimate with profile intervals for absorptions whose likelihood is skew.
 
     Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
@@ -136,12 +127,12 @@ def profiled(band: FittedBand) -> BandEstimate:
 
 def prior_logit_covariance(priors: tuple[MaterialPrior, ...], band: int) -> FloatArray:
     """Return that of the logits of all materials, tied ones alike, (n_materials, n_materials)."""
-    leader = leaders_of(priors)
+    leader = gaussian.leaders_of(priors)
     return np.asarray(prior_logit_law(priors)[1][band][np.ix_(leader, leader)])
 
 
 def identifiable_by_rule(
-    answers: Sequence[BandEstimate], priors: tuple[MaterialPrior, ...]
+    answers: Sequence[gaussian.BandEstimate], priors: tuple[MaterialPrior, ...]
 ) -> BoolArray:
     """Return which absorptions the data determine, shape (n_materials, n_bands).
 
@@ -153,13 +144,15 @@ def identifiable_by_rule(
         sd = np.sqrt(np.diag(answer.logit_covariance))
         prior_sd = np.sqrt(np.diag(prior_logit_covariance(priors, band)))
         width = answer.upper95 - answer.lower95
-        fits = max(answer.chi2_reduced, answer.chi2_beside) <= LARGEST_CHI2_REDUCED
-        sure = fits & (width <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * prior_sd)
+        fits = max(answer.chi2_reduced, answer.chi2_beside) <= gaussian.LARGEST_CHI2_REDUCED
+        sure = fits & (width <= gaussian.WIDEST_IDENTIFIABLE) & (sd <= 0.5 * prior_sd)
         found.append(sure | (width == 0.0))
     return np.stack(found, axis=1)
 
 
-def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
+def with_both_intervals(
+    best: gaussian.BandEstimate, other: gaussian.BandEstimate
+) -> gaussian.BandEstimate:
     """Return an answer whose intervals contain those of another model, too."""
     lower = np.minimum(best.lower95, other.lower95)
     upper = np.maximum(best.upper95, other.upper95)
@@ -178,7 +171,7 @@ def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate
     )
 
 
-def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
+def widened(answer: gaussian.BandEstimate, covariance: FloatArray) -> gaussian.BandEstimate:
     """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
 
     What is fixed stays.
@@ -204,7 +197,7 @@ def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
     )
 
 
-def decay_error_sds(rates: Sequence[DecayRate]) -> FloatArray:
+def decay_error_sds(rates: Sequence[gaussian.DecayRate]) -> FloatArray:
     """Return how far, relatively, each band's rate of decay may be from that of its walls.
 
     Shape (n_bands,): the root mean square about 0 of the changes after the data. Their prior is a
@@ -225,8 +218,8 @@ def decay_error_sds(rates: Sequence[DecayRate]) -> FloatArray:
 
 
 def with_errors_of_all_bands(
-    answers: Sequence[BandEstimate], areas_m2: FloatArray, more: Mapping[int, FloatArray]
-) -> tuple[BandEstimate, ...]:
+    answers: Sequence[gaussian.BandEstimate], areas_m2: FloatArray, more: Mapping[int, FloatArray]
+) -> tuple[gaussian.BandEstimate, ...]:
     """Return intervals that allow for errors that only all bands together tell.
 
     A rate of decay that is not that of the walls, and `more`: by band the covariance of logits
@@ -256,12 +249,12 @@ def with_errors_of_all_bands(
 
 
 def with_draws(
-    answers: Sequence[BandEstimate],
+    answers: Sequence[gaussian.BandEstimate],
     priors: tuple[MaterialPrior, ...],
     logit_covariance: FloatArray,
     n_draws: int,
     seed: int,
-) -> tuple[BandEstimate, ...]:
+) -> tuple[gaussian.BandEstimate, ...]:
     """Return estimates with draws of absorption in all bands, if any was drawn from its model.
 
     Otherwise predictions draw from the covariance, as is done here for bands by responses beside
@@ -275,7 +268,7 @@ def with_draws(
     for band, answer in enumerate(answers):
         rng, drawn = np.random.default_rng((seed, band)), answer.draws
         if answer.model == "prior":
-            drawn = prior_absorptions(priors, band, n_draws, rng)
+            drawn = gaussian.prior_absorptions(priors, band, n_draws, rng)
         if drawn is None:
             law = answer.absorption, logit_covariance[band], mean[:, band], prior[band]
             drawn = band_draws(*law, n_draws, rng, specified=are_specified(priors))
