@@ -20,28 +20,11 @@ from roomfit.base.arguments import check_known, did_you_mean, in_short, unique_n
 from roomfit.base.door import read_bytes, same_file
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
-from roomfit.files.file_names import FILL_IN, files_of_shape, shape_of
-from roomfit.files.schema import (
-    BECAUSE,
-    GONE,
-    Campaign,
-    MeasuredDirectivity,
-    MeasurementTable,
-    SharedDirectivity,
-    the_one,
-)
+from roomfit.files import schema
+from roomfit.files.file_names import FILL_IN as FILL_IN
+from roomfit.files.file_names import files_of_shape, shape_of
+from roomfit.files.schema import Campaign as Campaign
 from roomfit.room.scene import check_groups
-
-__all__ = [
-    "FILL_IN",
-    "Campaign",
-    "blanks",
-    "explained",
-    "input_files",
-    "read_campaign",
-    "read_toml",
-    "refuse_objects",
-]
 
 
 def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
@@ -177,7 +160,7 @@ def _with_recordings(campaign: Campaign, *, to_fit: bool) -> Campaign:
                 f"receivers {in_short(list(campaign.receiver_tables))}",
                 hint="name them alike: LS1_MP1.wav for [sources.LS1] and [receivers.MP1]",
             )
-        found += [MeasurementTable.model_validate(row) for row in new]
+        found += [schema.MeasurementTable.model_validate(row) for row in new]
         if unused := [f for f in free if f not in known]:
             text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
             about, evidence = About(files=unused), {"files": unused}
@@ -189,7 +172,7 @@ def _with_recordings(campaign: Campaign, *, to_fit: bool) -> Campaign:
     return campaign.with_rows(whole, findings)
 
 
-def _in_folder(row: MeasurementTable, folder: Path) -> MeasurementTable:
+def _in_folder(row: schema.MeasurementTable, folder: Path) -> schema.MeasurementTable:
     """Return a measurement whose paths are complete."""
     names = ("file", "parameters", "spectrum", "excitation")
     paths = {k: str(folder / own) for k in names if (own := getattr(row, k)) is not None}
@@ -241,7 +224,7 @@ def _check_names(campaign: Campaign) -> None:
     named = [
         (f"sources.{own}.directivity.loudspeaker", "source", "loudspeaker", shared.loudspeaker)
         for own, table in campaign.source_tables.items()
-        if isinstance(shared := table.directivity, SharedDirectivity)
+        if isinstance(shared := table.directivity, schema.SharedDirectivity)
     ]
     named += [
         (f"materials.{own}.product", "material", "product", wall.product or "")
@@ -279,7 +262,7 @@ def _check_tables(campaign: Campaign) -> None:
         where = f"{campaign.path}, measurements[{number}]"
         what = "a measurement needs exactly one kind of data"
         hint = "a table [[measurements]] for each file"
-        the_one(row, ("file", "parameters", "spectrum"), what, where, hint)
+        schema.the_one(row, ("file", "parameters", "spectrum"), what, where, hint)
         for kind in ("source", "receiver") if row.parameters is None else ():
             if not getattr(row, kind):
                 what, hint = f"a measurement without a {kind}", f'{kind} = "NAME" of [{kind}s.NAME]'
@@ -337,7 +320,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     files += [row.path for row in (*campaign.tables, *campaign.spectra)]
     directivities = [table.directivity for table in campaign.source_tables.values()]
     named = [t for t in directivities if isinstance(t, str) and t not in ("omni", "fit")]
-    named += [t.file for t in directivities if isinstance(t, MeasuredDirectivity)]
+    named += [t.file for t in directivities if isinstance(t, schema.MeasuredDirectivity)]
     named += [t.directivity for t in campaign.loudspeakers.values() if t.directivity != "fit"]
     files += [campaign.path.parent / name for name in named]
     return tuple(dict.fromkeys(files))
@@ -364,7 +347,7 @@ def explained(
     hint: str | None = f"{words} (roomfit schema prints all keys)".lstrip()
     what, found = f"a value in the {file} is not what it must be", repr(given)
     key = ".".join([*keys, str(last)] if unknown else keys)
-    gone = GONE.get(f"{key} = {given}" if kind == "literal_error" else key)
+    gone = schema.GONE.get(f"{key} = {given}" if kind == "literal_error" else key)
     if gone is not None:
         what = f"a key or value of the {file} is of an earlier version"
         found, needed, hint = repr(last if unknown else given), "keys of this version", gone
@@ -439,8 +422,8 @@ def _models_within(annotation: Any) -> Iterator[type[BaseModel]]:
 def _reasons(part: Any) -> Iterator[str]:
     """Yield why the numbers of a key end where they do, of unions and lists the first."""
     if isinstance(part, FieldInfo):
-        if isinstance(part.json_schema_extra, dict) and BECAUSE in part.json_schema_extra:
-            yield str(part.json_schema_extra[BECAUSE])
+        if isinstance(part.json_schema_extra, dict) and schema.BECAUSE in part.json_schema_extra:
+            yield str(part.json_schema_extra[schema.BECAUSE])
         part = part.annotation
     for inner in (*get_args(part), *getattr(part, "__metadata__", ())):
         yield from _reasons(inner)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from roomfit.base.arguments import in_short
@@ -72,7 +72,7 @@ def matching_files(
     if template is None:
         stems = {name: Path(name).stem for name in recordings_in(folder)}
         pairs = {name: _known_in(stem, known) for name, stem in stems.items()}
-        if found := {name: _in_order(pair) for name, pair in pairs.items() if len(pair) == 2}:
+        if found := {name: (p[0], p[1]) for name, p in pairs.items() if len(p) == 2}:
             return found
         for split in (_by_words, _at_underscore):
             pairs_by_shape = {name: split(stem) for name, stem in stems.items()}
@@ -122,14 +122,10 @@ def _known_in(stem: str, known: Iterable[str]) -> list[str]:
     first, second = (f"(?:{'|'.join(f'({way})' for way in ways)})" for _ in range(2))
     run = re.compile(rf"(?<![^\W_]){first}{second}?(?![^\W_])", re.IGNORECASE)
     hits = [i % len(names) for m in run.finditer(text) for i, g in enumerate(m.groups()) if g]
-    return list(dict.fromkeys(names[i] for i in hits))
-
-
-def _in_order(pair: Collection[str]) -> tuple[str, str]:
-    """Return source and receiver: the source first, unless words say that it stands last."""
-    first, last = pair
-    is_turned = is_word("receiver_name", first.lower()) and is_word("source_name", last.lower())
-    return (last, first) if is_turned else (first, last)
+    found = list(dict.fromkeys(names[i] for i in hits))
+    kinds = ("receiver_name", "source_name")  # the source stands first, unless words say otherwise
+    is_turned = [is_word(k, n.lower()) for k, n in zip(kinds, found, strict=False)] == [True, True]
+    return found[::-1] if is_turned else found
 
 
 def _by_words(stem: str) -> list[str]:

@@ -35,7 +35,6 @@ TIMES = ("T30", "T20", "T", "T15", "T10", "EDT")
 _MAIN = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 _MOST_COLUMNS = 16_384  # of a sheet of Excel
 _SEPARATORS = (";", "\t", ",", "  ", " ")
-_LOOKED_AT = 400  # lines, by which the separator is known
 _GROUP_MARKS = "['\\u2019 \\xa0\\u202f]"
 _NUMBER = re.compile(
     rf"([-+\u2212]?(?:\d+(?:{_GROUP_MARKS}\d{{3}})*(?:[.,]\d+)*[.,]?|[.,]\d+)(?:e[-+]?\d+)?)"
@@ -43,7 +42,6 @@ _NUMBER = re.compile(
     re.IGNORECASE,
 )
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
-_NEAR = 0.017  # by which exact mid-bands, of base two as well, lie beside nominal ones
 _BELOW = ("8", "10", "12.5", "12,5", "16", "20")  # bands that are not used
 
 
@@ -134,7 +132,7 @@ def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
         lines = read_text(path, what).split("\n")
         if stated := re.fullmatch(r'"?sep=(.)"?\s*', lines[0]):
             separator, lines[0] = stated[1], ""
-        separator = separator or _separator(lines[:_LOOKED_AT])
+        separator = separator or _separator(lines[:400])
         found = _split("\n".join(lines), separator, str(path))
     rows = []
     for number, cells in found:
@@ -411,8 +409,8 @@ def _centres_hz(labels: Sequence[str], *, is_in_khz: bool = False) -> list[float
 
 def _nominal_hz(hz: float) -> float | None:
     near = min(THIRD_OCTAVES_HZ, key=lambda nominal: abs(hz - nominal))
-    is_year = 2000.0 < hz < 2040.0
-    return near if abs(hz / near - 1.0) <= _NEAR and not is_year else None
+    # exact mid-bands lie 1 % beside nominal ones, those of base two 1.7 %, and so do years
+    return near if abs(hz / near - 1.0) <= 0.017 and not 2000.0 < hz < 2040.0 else None
 
 
 def _bands_across(sheet: Sheet, path: Path) -> list[Row]:

@@ -16,21 +16,7 @@ from roomfit.base.bands import Bands, bands_of
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.tables import (
-    TIMES,
-    BandRow,
-    Row,
-    Sheet,
-    are_summaries,
-    are_units,
-    band_rows,
-    is_word,
-    left_out,
-    length_unit,
-    quantity_in,
-    read_sheet,
-    words_of,
-)
+from roomfit.files import tables
 from roomfit.formats.model import METRES_PER_UNIT
 from roomfit.signals import iso3382
 
@@ -39,7 +25,8 @@ _PARAMETERS: dict[str, iso3382.ValueName] = {
 }
 _NEVER_ZERO = ("T20_s", "T30_s", "EDT_s", "TS_ms")
 _PAIR = ("source", "receiver", "parameter")
-_NEEDED = "lines of a name that stands once, and x, y, z, as S1,1.2,3.4,1.5"
+_NEEDED = "a name that stands once, and x, y, z in the room's axes, as S1,1.2,3.4,1.5"
+_UNCLEAR = "with a line that is not understood"
 _COMMAS = "decimal commas need semicolons between columns"
 Position = tuple[float, float, float]
 
@@ -60,15 +47,15 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
     ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, metres. Without a heading a row is a name and
     three numbers. Between columns stands anything; or it is an Excel workbook.
     """
-    sheet = read_sheet(path, "table of positions")
+    sheet = tables.read_sheet(path, "table of positions")
     found: dict[str, Position] = {}
     columns: _Columns | None = None
-    unit, without, above = "", list[str](), Row("", [])
+    unit, without, above = "", list[str](), tables.Row("", [])
     for row in sheet.rows:
         cells = row.cells
         if own := _position_columns(row, sheet):
             columns, unit = own, next(filter(None, own.units), unit)
-        elif row.is_remark or are_units(row):
+        elif row.is_remark or tables.are_units(row):
             unit = _unit_in(" ".join(cells)) or unit
             if columns and not row.is_remark:
                 units = [_unit_in(c) for c in (*cells, *columns.heading)]
@@ -85,11 +72,11 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
                 for i, c in enumerate(coordinates)
             )
             if name in found or not name:
-                raise _not_understood(row, "give each row a name of its own")
-            if are_summaries([name])[0] or all(map(math.isnan, (x, y, z))):
+                raise _refused(row, _UNCLEAR, "give each row a name of its own")
+            if tables.are_summaries([name])[0] or all(map(math.isnan, (x, y, z))):
                 without.append(name)
             elif math.isnan(x + y + z):
-                raise _not_understood(row, "write all three, or leave the row out")
+                raise _refused(row, _UNCLEAR, "write all three, or leave the row out")
             else:
                 found[name] = (x, y, z)
     if not found:
@@ -97,31 +84,31 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
         raise InputError(what, where=str(path), found="no line", needed=_NEEDED, hint=hint)
     used = (columns.name, *columns.at) if columns else ()
     others = [c for i, c in enumerate(columns.heading) if c and i not in used] if columns else []
-    return found, left_out(path, "positions", {"rows": without, "columns": others})
+    return found, tables.left_out(path, "positions", {"rows": without, "columns": others})
 
 
-def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
+def _position_columns(row: tables.Row, sheet: tables.Sheet) -> _Columns | None:
     """Return the columns of names and of x, y, z where a row is a heading of positions."""
     groups: dict[tuple[str, ...], dict[str, int]] = {}
     spherical = set()
     for i, cell in enumerate(row.cells):
         label = re.sub(r"[\[(].*?[\])]", " ", cell.lower())
-        words = [w for w in re.findall(r"[^\W\d_]+", label) if not length_unit(w)]
+        words = [w for w in re.findall(r"[^\W\d_]+", label) if not tables.length_unit(w)]
         words = [
-            m[1] if (m := words_of("axis").fullmatch(w)) else w
+            m[1] if (m := tables.words_of("axis").fullmatch(w)) else w
             for w in words
-            if not is_word("position", w)
+            if not tables.is_word("position", w)
         ]
         axes = [w for w in words if w in "xyz"]
         if len(axes) == 1:
             rest = tuple(w for w in words if w not in axes)
             groups.setdefault(rest, {}).setdefault(axes[0], i)
-        elif words and is_word("spherical", words[0]):
+        elif words and tables.is_word("spherical", words[0]):
             spherical.add(cell)
     whole = {
         k: at
         for k, at in groups.items()
-        if len(at) == 3 and not any(is_word("direction", w) for w in k)
+        if len(at) == 3 and not any(tables.is_word("direction", w) for w in k)
     }
     if () in whole:
         whole = {(): whole[()]}
@@ -139,12 +126,12 @@ def _position_columns(row: Row, sheet: Sheet) -> _Columns | None:
     )
 
 
-def _name_column(row: Row, at: Sequence[int], sheet: Sheet) -> int:
+def _name_column(row: tables.Row, at: Sequence[int], sheet: tables.Sheet) -> int:
     """Return the column of names: by its heading, else the first of words or of whole numbers."""
     others = [i for i in range(len(row.cells)) if i not in at]
     for kind in ("name", "number"):
         for i in others:
-            if is_word(kind, row.cells[i].lower()):
+            if tables.is_word(kind, row.cells[i].lower()):
                 return i
     below = [r.cells for r in sheet.rows[sheet.rows.index(row) + 1 :] if not r.is_remark]
     for i in others:
@@ -156,25 +143,24 @@ def _name_column(row: Row, at: Sequence[int], sheet: Sheet) -> int:
 
 def _unit_in(label: str) -> str:
     """Return the unit of length that a label names, "" for none: of "x in cm" centimetres."""
-    units = [unit for w in re.split(r"[^a-z]+", label.lower()) if (unit := length_unit(w))]
+    units = [unit for w in re.split(r"[^a-z]+", label.lower()) if (unit := tables.length_unit(w))]
     return next((u for u in units if u != "in"), units[0] if units else "")
 
 
-def _refused(row: Row, what: str, hint: str) -> InputError:
-    """Return the refusal of a heading of positions."""
-    found, needed = ", ".join(row.cells)[:120], "columns name, x, y, z in the axes of the room"
-    what = f"a table of positions {what}"
-    return InputError(what, where=row.where, found=found, needed=needed, hint=hint)
+def _refused(row: tables.Row, what: str, hint: str) -> InputError:
+    """Return the refusal of a table of positions by its heading, or by one of its lines."""
+    what, found = f"a table of positions {what}", row.text or ", ".join(row.cells)
+    return InputError(what, where=row.where, found=repr(found[:200]), needed=_NEEDED, hint=hint)
 
 
 def _name_and_coordinates(
-    row: Row, columns: _Columns | None, sheet: Sheet
+    row: tables.Row, columns: _Columns | None, sheet: tables.Sheet
 ) -> tuple[str, list[str]]:
     """Return the name and the three cells of a position."""
     if columns is not None:
         n = len(columns.heading)
         if any(row.cells[n:]):
-            raise _not_understood(row, _COMMAS)
+            raise _refused(row, _UNCLEAR, _COMMAS)
         cells = row.cells + [""] * (n - len(row.cells))
         return cells[columns.name], [cells[i] for i in columns.at]
     own = sheet.numbers(row.cells[1:])
@@ -182,28 +168,22 @@ def _name_and_coordinates(
         return row.cells[0], own
     are_whole = sheet.separator == "," and len(own) == 6 and all(c.isdecimal() for c in own)
     names = "name the columns in a line above: name,x,y,z, and others as they are"
-    raise _not_understood(row, _COMMAS if are_whole else names if len(own) > 3 else "correct it")
+    raise _refused(row, _UNCLEAR, _COMMAS if are_whole else names if len(own) > 3 else "correct it")
 
 
-def _metres(cell: str, unit: str, row: Row, sheet: Sheet) -> float:
+def _metres(cell: str, unit: str, row: tables.Row, sheet: tables.Sheet) -> float:
     """Return a coordinate in m, NaN for none; its cell may state another unit than its column."""
     known = sheet.number(cell)
-    own = length_unit(known[1]) if known else ""
+    own = tables.length_unit(known[1]) if known else ""
     if known is None or (known[1] and not own):
-        raise _not_understood(row, "correct it")
+        raise _refused(row, _UNCLEAR, "correct it")
     unit = own or unit
     if unit == "mm" and not sheet.decimal and re.fullmatch(r"-?[1-9]\d{0,2}[.,]\d{3}", cell):
-        raise _not_understood(row, f"write {cell} without the mark if it is of thousands")
+        raise _refused(row, _UNCLEAR, f"write {cell} without the mark if it is of thousands")
     return round(METRES_PER_UNIT[unit] * known[0], 6)
 
 
-def _not_understood(row: Row, hint: str) -> InputError:
-    what = "a line of the table of positions is not understood"
-    found = repr(row.text or ", ".join(row.cells))
-    return InputError(what, where=row.where, found=found, needed=_NEEDED, hint=hint)
-
-
-def _counts(row: BandRow) -> bool:
+def _counts(row: tables.BandRow) -> bool:
     """Whether a row is called N and holds whole numbers, as of measurements."""
     cells = [cell for cell, _ in row.cells.values() if cell]
     return row.names[-1].casefold() == "n" and all(cell.isdecimal() for cell in cells)
@@ -217,11 +197,11 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
     was not evaluated, else the next that there is. Empty cells, 0 and marks are unknown. Rows that
     summarise others, or hold another quantity, are left out.
     """
-    rows, others = band_rows(path, "table of decay times")
-    are_left = are_summaries([row.rest or row.names[0] for row in rows])
+    rows, others = tables.band_rows(path, "table of decay times")
+    are_left = tables.are_summaries([row.rest or row.names[0] for row in rows])
     own = [r for r, is_one in zip(rows, are_left, strict=True) if not (is_one or _counts(r))]
-    known = [r.quantity for r in own if r.quantity in TIMES and np.nansum(r.values(r.cells))]
-    wanted = next((quantity for quantity in TIMES if quantity in known), "")
+    known = [r.quantity for r in own if r.quantity in tables.TIMES and np.nansum(r.values(r.cells))]
+    wanted = next((quantity for quantity in tables.TIMES if quantity in known), "")
     taken = [row for row in own if row.quantity == wanted]
     taken += [row for row in own if row.quantity == "T20" and wanted == "T30"]
     if not taken:
@@ -255,7 +235,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
             hint="give seconds, or say [ms] in the heading" if is_long else "leave the cell empty",
         )
     left = [" ".join(row.names) or row.quantity for row in rows if row not in taken]
-    findings = left_out(path, wanted or "decay times", {"rows": left, "columns": others})
+    findings = tables.left_out(path, wanted or "decay times", {"rows": left, "columns": others})
     return table[:, has_some], bands_of(centres_hz[has_some]), findings
 
 
@@ -302,10 +282,10 @@ def read_parameters(
     ('S', array([0.9, 0.8]))
     """
     path = Path(path)
-    by_pair: dict[tuple[str, str], list[BandRow]] = {}
+    by_pair: dict[tuple[str, str], list[tables.BandRow]] = {}
     with located(hint="correct the table there"):
-        rows, others = band_rows(path, "table of room parameters", _PAIR)
-    summaries = [any(are_summaries([*row.names[:2]])) for row in rows]
+        rows, others = tables.band_rows(path, "table of room parameters", _PAIR)
+    summaries = [any(tables.are_summaries([*row.names[:2]])) for row in rows]
     is_other = [
         s or row.quantity in ("other", "label") for s, row in zip(summaries, rows, strict=True)
     ]
@@ -325,7 +305,7 @@ def read_parameters(
             hint="write source and receiver as the campaign has them: S,R,T30,0.9,...",
         )
     found: list[iso3382.MeasuredValues] = []
-    findings = [*left_out(path, "room parameters", {"rows": left, "columns": others})]
+    findings = [*tables.left_out(path, "room parameters", {"rows": left, "columns": others})]
     centres_hz = np.array(sorted({hz for row in rows for hz in row.cells}))
     for pair in chosen:
         repeated = _repeated(pair, by_pair[pair], centres_hz)
@@ -337,17 +317,17 @@ def read_parameters(
 
 
 def _repeated(
-    pair: tuple[str, str], rows: list[BandRow], centres_hz: FloatArray
+    pair: tuple[str, str], rows: list[tables.BandRow], centres_hz: FloatArray
 ) -> tuple[iso3382.MeasuredValues, ...]:
     """Return the measurements of one pair: each repetition of a parameter is another one."""
     counts: Counter[tuple[str, bool]] = Counter()
-    tables: list[
+    repeated: list[
         tuple[dict[iso3382.ValueName, FloatArray], dict[iso3382.ValueName, FloatArray]]
     ] = []
     for row in rows:
         parameter = row.names[2].upper()
         plain = parameter.removesuffix("_SD")
-        bare = quantity_in(plain)[0] or plain
+        bare = tables.quantity_in(plain)[0] or plain
         hint = "leave the line out, or begin it with #"
         check_known("unknown room parameter", bare, _PARAMETERS, where=row.where, else_try=hint)
         name, is_spread = _PARAMETERS[bare], plain != parameter
@@ -367,7 +347,7 @@ def _repeated(
                 )
         number = counts[name, is_spread]
         counts[name, is_spread] += 1
-        if number == len(tables):
-            tables.append(({}, {}))
-        tables[number][is_spread][name] = values
-    return tuple(iso3382.MeasuredValues(*pair, centres_hz, v, s) for v, s in tables)
+        if number == len(repeated):
+            repeated.append(({}, {}))
+        repeated[number][is_spread][name] = values
+    return tuple(iso3382.MeasuredValues(*pair, centres_hz, v, s) for v, s in repeated)

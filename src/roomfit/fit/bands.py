@@ -13,8 +13,18 @@ import numpy as np
 
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import FloatArray, Progress, part
-from roomfit.fit import directivity
 from roomfit.fit.choice import choose
+from roomfit.fit.directivity import (
+    DirectivityScore,
+    band_directivities,
+    contradicted_sources,
+    directed_energies,
+    directivity_parameters,
+    is_fittable,
+    omnidirectional,
+    source_scorer,
+    with_fitted_sources,
+)
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths
@@ -36,20 +46,30 @@ from roomfit.model.room_parameters import value_terms, without_responses
 from roomfit.room.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solver import BandFit, Solver, first_round, fit_band, gauss_newton
-from roomfit.uncertainty import gaussian
+from roomfit.uncertainty.gaussian import (
+    BandEstimate,
+    FittedBand,
+    Refine,
+    SharedErrors,
+    Starts,
+    absorption_intervals,
+    band_estimate,
+    fit_covariance,
+    prior_only_band,
+)
 
 # Log-likelihoods with priors that differ by less do not decide between two minima.
 ALIKE = 2.0
 # Of a standard deviation: first rounds end within a hundredth of where they lead.
 _SAME_PLACE = 0.2
 
-ErrorsOfBand: TypeAlias = Callable[[int, Objective, BandFit], gaussian.SharedErrors | None]
+ErrorsOfBand: TypeAlias = Callable[[int, Objective, BandFit], SharedErrors | None]
 """What errors that a band's windows share do to its fit; None where it has no windows."""
 
 
 def from_random_starts(
     objective: Objective, fit: BandFit, rng: np.random.Generator, number: int
-) -> tuple[BandFit, gaussian.Starts]:
+) -> tuple[BandFit, Starts]:
     """Return the likeliest of a fit and of others from random starts, and whether they agree.
 
     Starts are even over absorption. One whose first round ends where that of the usual start does
@@ -72,13 +92,13 @@ def from_random_starts(
     worth = [f.log_likelihood - 0.5 * float(p @ p) for f, p in zip(fits, priors, strict=True)]
     # rounding and rounds of weights are no better answer
     best, alike_best = choose(range(len(fits)), worth, ALIKE, least_gain=0.05)
-    how = gaussian.fit_covariance(fits[best]), fits[best].chi2_reduced
-    found = gaussian.absorption_intervals(parameters, fits[best].vector, *how)
+    how = fit_covariance(fits[best]), fits[best].chi2_reduced
+    found = absorption_intervals(parameters, fits[best].vector, *how)
     absorptions = [physical_values(parameters, f.vector)[0]["absorption"] for f in fits]
     within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in absorptions]
     others = [i for i in alike_best if not within[i]]
     nearest = max(others, key=lambda i: worth[i], default=None)
-    return replace(fits[best], evaluations=evaluations), gaussian.Starts(
+    return replace(fits[best], evaluations=evaluations), Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
@@ -93,23 +113,23 @@ def fitted_band(
     settings: Settings,
     progress: Progress | None = None,
     errors_of: ErrorsOfBand | None = None,
-) -> gaussian.FittedBand:
+) -> FittedBand:
     """Return a band with its fit; without data, with its prior."""
     if objective is None:
-        return gaussian.FittedBand(gaussian.prior_only_band(priors, band))
+        return FittedBand(prior_only_band(priors, band))
     parameters, rng = objective.parameters, np.random.default_rng(settings.seed)
     solver: Solver = gauss_newton
     if settings.method in ("simplex", "annealing"):
         solver = unit_box_solver(parameters, settings.method, rng)
     fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
-    starts: gaussian.Starts | None = None
+    starts: Starts | None = None
     if settings.method == "auto" and fit.vector.size and only_energies(objective) is not None:
         rng = np.random.default_rng(settings.seed)
         fit, starts = from_random_starts(objective, fit, rng, settings.n_random_starts)
     shared = None if errors_of is None else errors_of(band, objective, fit)
     model = "energy" if objective.is_gamma().any() else "values"
-    estimate = replace(gaussian.band_estimate(parameters, fit, model, shared), starts=starts)
-    return gaussian.FittedBand(estimate, objective, fit, None if shared is None else shared.steps)
+    estimate = replace(band_estimate(parameters, fit, model, shared), starts=starts)
+    return FittedBand(estimate, objective, fit, None if shared is None else shared.steps)
 
 
 def estimate_energies(
@@ -118,19 +138,19 @@ def estimate_energies(
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
-    refine: gaussian.Refine,
+    refine: Refine,
     progress: Progress | None,
 ) -> BandFits:
     """Estimate the absorption of every band by window energies and room parameters.
 
     Where data contradict a source that was taken for omnidirectional, its directivity is fitted.
     """
-    unknown = directivity.directivity_parameters(measured, settings)
-    tested = directivity.omnidirectional(measured) if unknown is None else None
+    unknown = directivity_parameters(measured, settings)
+    tested = omnidirectional(measured) if unknown is None else None
     scene, bands, responses = measured.scene, measured.bands, measured.responses
     n, others = len(bands), other_terms(measured, traced)
 
-    def errors(band: int, objective: Objective, fit: BandFit) -> gaussian.SharedErrors | None:
+    def errors(band: int, objective: Objective, fit: BandFit) -> SharedErrors | None:
         windows = objective.as_energies(fit.vector)
         if windows is None or not fit.vector.size:
             return None
@@ -144,10 +164,10 @@ def estimate_energies(
     def estimated(
         unknown: DirectivityParameters | None, tested: DirectivityParameters | None
     ) -> BandFits:
-        directivities = directivity.directed_energies(measured, priors, traced, start, unknown)
-        score = None if tested is None else directivity.source_scorer(measured, traced, tested)
+        directivities = directed_energies(measured, priors, traced, start, unknown)
+        score = None if tested is None else source_scorer(measured, traced, tested)
 
-        def answer(band: int) -> tuple[gaussian.BandEstimate, directivity.DirectivityScore | None]:
+        def answer(band: int) -> tuple[BandEstimate, DirectivityScore | None]:
             made = energy_term(scene, bands, priors, responses, traced.binned, start, band)
             if made is None:
                 objective = without_responses(others[band], priors, band, start)
@@ -155,31 +175,24 @@ def estimate_energies(
                 objective = energy_objective(*made, directivities[band], others[band])
             done = part(progress, band / n, (band + 1) / n)
             own = fitted_band(band, objective, priors, settings, done, errors)
-            against: directivity.DirectivityScore | None = None
+            against: DirectivityScore | None = None
             if score is not None and own.objective is not None and own.fit is not None:
                 against = score(band, own.objective, own.fit)
             return refine(own), against
 
         estimates, scores = zip(*in_forks(answer, range(n)), strict=True)
-        found = directivity.band_directivities(scene, unknown, directivities, estimates)
+        found = band_directivities(scene, unknown, directivities, estimates)
         known = {band: score for band, score in enumerate(scores) if score is not None}
-        against = directivity.contradicted_sources(tested, known)
+        against = contradicted_sources(tested, known)
         return BandFits(
             estimates, directivities=found, unknown_sources=unknown, contradicted=against
         )
 
     fits = estimated(unknown, tested)
     against = fits.contradicted
-    if (
-        not against
-        or tested is None
-        or settings.quick
-        or not directivity.is_fittable(measured, settings)
-    ):
+    if not against or tested is None or settings.quick or not is_fittable(measured, settings):
         return fits
-    return replace(
-        estimated(directivity.with_fitted_sources(unknown, tested), None), contradicted=against
-    )
+    return replace(estimated(with_fitted_sources(unknown, tested), None), contradicted=against)
 
 
 def other_terms(measured: Measurements, traced: TracedPaths) -> tuple[tuple[DataTerm, ...], ...]:

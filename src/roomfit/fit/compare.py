@@ -21,14 +21,7 @@ from roomfit.model.room_parameters import predicted_values
 from roomfit.result import Compared, ComparedPair, Decay
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, distances_m, pair_names
-from roomfit.signals.decay import (
-    PARAMETER_NAMES,
-    DecayCurve,
-    echogram_decay_curve,
-    in_jnd,
-    reduced_alike,
-    room_parameters,
-)
+from roomfit.signals import decay
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.signals.measurement import MeasuredPair
 
@@ -50,7 +43,7 @@ def compared_values(
                 continue
             others = np.array([o.at(name, bands.centres_hz) for o in fitted if o is not m])
             null = _mean_of_known(others.reshape(-1, len(bands)))
-            table[name] = Compared(found, values, null, in_jnd(name, found, values))
+            table[name] = Compared(found, values, null, decay.in_jnd(name, found, values))
         tables.append(table)
     return tuple(tables)
 
@@ -132,7 +125,7 @@ def compare_pairs(
 
     lengths_m = distances_m(scene).tolist()
 
-    def at(times_s: FloatArray, curve: DecayCurve) -> FloatArray:
+    def at(times_s: FloatArray, curve: decay.DecayCurve) -> FloatArray:
         """Return a curve in dB; NaN after its usable end."""
         return np.where(times_s <= curve.usable_end_s[:, None], curve.levels_db(times_s), np.nan)
 
@@ -142,20 +135,20 @@ def compare_pairs(
             m.measurement,
             predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures),
         )
-        curve = reduced_alike(curve, m.curve)
-        predicted, parameters = room_parameters(curve), dict[str, Compared]()
+        curve = decay.reduced_alike(curve, m.curve)
+        predicted, parameters = decay.room_parameters(curve), dict[str, Compared]()
         fitted = [o for o in measured if o.measurement.use == "fit" and o is not m]
         others = [o.parameters for o in fitted if o.measurement.state == own.state]
-        for name in PARAMETER_NAMES:
+        for name in decay.PARAMETER_NAMES:
             found, expected = m.parameters.of(name), predicted.of(name)
             null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
-            parameters[name] = Compared(found, expected, null, in_jnd(name, found, expected))
+            parameters[name] = Compared(found, expected, null, decay.in_jnd(name, found, expected))
         end_s = min(float(m.curve.usable_end_s.max()), float(curve.time_s[-1]))
         times_s = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
         noise_db = np.where(m.curve.noise_reached, -m.curve.usable_db, np.nan)
-        decay = Decay(times_s, at(times_s, m.curve), at(times_s, curve), noise_db)
+        curves = Decay(times_s, at(times_s, m.curve), at(times_s, curve), noise_db)
         place = own.state, lengths_m[m.pair]
-        return ComparedPair(own.source, own.receiver, own.use, parameters, decay, *place)
+        return ComparedPair(own.source, own.receiver, own.use, parameters, curves, *place)
 
     return tuple(in_forks(compared, measured))
 
@@ -167,7 +160,7 @@ def predicted_curve(
     pair: int,
     absorption: FloatArray,
     by_pressures: BoolArray | None = None,
-) -> DecayCurve:
+) -> decay.DecayCurve:
     """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     return curve_of(scene, bands, binned, pair, absorption, energy, by_pressures)
@@ -181,11 +174,11 @@ def curve_of(
     absorption: FloatArray,
     energy: FloatArray,
     by_pressures: BoolArray | None = None,
-) -> DecayCurve:
+) -> decay.DecayCurve:
     """Return the curves of `predicted_curve`, of energies (n_bands, n_bins) of `pair_energies`."""
     energy = spread_over_time(bands, energy)
     if by_pressures is not None and by_pressures.any():
         added = interference(scene, bands, binned, pair, absorption, by_pressures)
         energy = np.maximum(energy + added, 0.0)
     direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
-    return echogram_decay_curve(bands, energy, binned.edges_s, direct_s)
+    return decay.echogram_decay_curve(bands, energy, binned.edges_s, direct_s)

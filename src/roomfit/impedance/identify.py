@@ -12,7 +12,14 @@ import numpy as np
 from roomfit.base.arguments import check_known, check_range
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import FloatArray, Progress, part
-from roomfit.impedance import data, verdict
+from roomfit.impedance import verdict
+from roomfit.impedance.data import (
+    MODEL_ERROR,
+    PLANE_MODEL_ERROR,
+    Observed,
+    complex_frequency_hz,
+    level_at,
+)
 from roomfit.impedance.fit import (
     SAME_WITHIN,
     ImpedanceFit,
@@ -62,7 +69,7 @@ class ImpedanceSettings:
 @one_blas_thread
 def identify_impedance(
     scene: Scene,
-    observed: data.Observed,
+    observed: Observed,
     walls: Mapping[str, WallModel] | None = None,
     nuisances: Nuisances | None = None,
     *,
@@ -153,7 +160,7 @@ def identify_impedance(
 
 def wave_problem(
     scene: Scene,
-    observed: data.Observed,
+    observed: Observed,
     walls: Mapping[str, WallModel] | None = None,
     nuisances: Nuisances | None = None,
     settings: ImpedanceSettings | None = None,
@@ -168,9 +175,9 @@ def wave_problem(
     for name in walls:
         what = "a model is specified for a wall that does not exist"
         check_known(what, name, scene.room.materials)
-    factor = data.MODEL_ERROR if settings.spherical else data.PLANE_MODEL_ERROR
+    factor = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
     factor = factor if settings.model_error is None else settings.model_error
-    f = data.complex_frequency_hz(observed)
+    f = complex_frequency_hz(observed)
     curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
     model, sd = (
         wave_model(scene, observed.frequency_hz, observed.tau_s),
@@ -179,9 +186,9 @@ def wave_problem(
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
-def _deviation(scene: Scene, observed: data.Observed, factor: float) -> FloatArray:
+def _deviation(scene: Scene, observed: Observed, factor: float) -> FloatArray:
     # exact data and an exact model: rounding, and images beyond the last
-    return np.maximum(deviation(scene, observed, factor), 1e-4 * data.level_at(observed))
+    return np.maximum(deviation(scene, observed, factor), 1e-4 * level_at(observed))
 
 
 def _rivals(

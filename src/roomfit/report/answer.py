@@ -10,7 +10,7 @@ import numpy as np
 
 from roomfit.base.table import Cell, Table
 from roomfit.base.typing import BoolArray
-from roomfit.report import tables
+from roomfit.report import tables, wording
 from roomfit.report.blocks import (
     Block,
     Blocks,
@@ -24,19 +24,6 @@ from roomfit.report.blocks import (
 )
 from roomfit.report.doubts import disagreement_table, remaining_usable
 from roomfit.report.html import page, translator
-from roomfit.report.wording import (
-    DASH,
-    Series,
-    area,
-    band_ranges,
-    coefficient,
-    count,
-    decay_time_key,
-    hertz,
-    in_file_name,
-    number,
-    parameter,
-)
 from roomfit.result import ComparedPair, Result
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Scene, wall_materials
@@ -203,11 +190,11 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
     ).format(
         found=int(sure.sum()),
         wanted=int(wanted.sum()),
-        materials=count(len(answer.materials), "material")
+        materials=wording.count(len(answer.materials), "material")
         if say is str
         else f"{len(answer.materials)} {say('materials')}",
-        bands=_in_language(band_ranges(answer.bands.centres_hz, everywhere), say),
-        half=number(half, 2 if half >= 0.0095 else 3),
+        bands=_in_language(wording.band_ranges(answer.bands.centres_hz, everywhere), say),
+        half=wording.number(half, 2 if half >= 0.0095 else 3),
     )
     open_ = [
         f"{name} ({_in_language(_where(answer, missing), say)})"
@@ -232,31 +219,33 @@ def _where(answer: Result, found: BoolArray) -> str:
     """Return the bands; their number where they are too scattered to be read."""
     if int(np.sum(np.diff(found.astype(int)) != 0)) > _MOST_ENDS:
         return f"{int(found.sum())} of {len(answer.bands)} bands"
-    return band_ranges(answer.bands.centres_hz, found)
+    return wording.band_ranges(answer.bands.centres_hz, found)
 
 
 def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[str, str], ...]:
     """Return the mean of the room and the error of its decay time, and what they are."""
     middle = int(np.argmin(np.abs(np.log2(answer.bands.centres_hz / 1000.0))))
-    mean, low, high = (coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle]))
-    at = hertz(float(answer.bands.centres_hz[middle]))
+    mean, low, high = (
+        wording.coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle])
+    )
+    at = wording.hertz(float(answer.bands.centres_hz[middle]))
     words = say("mean absorption of the room at {at}").format(at=at)
-    figures = [(f"{mean} ({low}{DASH}{high})", words)]
+    figures = [(f"{mean} ({low}{wording.DASH}{high})", words)]
     pairs = tables.compared_pairs(answer)
     known = tables.parameter_keys(pairs)
-    key = decay_time_key(known) or next(iter(known), None)
+    key = wording.decay_time_key(known) or next(iter(known), None)
     if key is None:
-        return (*figures, (DASH, say("no measured room parameter to compare with")))
-    how = parameter(key)
+        return (*figures, (wording.DASH, say("no measured room parameter to compare with")))
+    how = wording.parameter(key)
     model, baseline, _ = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
     words = say("error of predicted {symbol}, mean of {pairs}").format(
         symbol=how.symbol, pairs=say(tables.compared_words(answer))
     )
     if np.isfinite(baseline):
         words += say("; by the mean of the others {baseline}").format(
-            baseline=f"{number(baseline, how.error_decimals)} {how.error_unit}"
+            baseline=f"{wording.number(baseline, how.error_decimals)} {how.error_unit}"
         )
-    return (*figures, (f"{number(model, how.error_decimals)} {how.error_unit}", words))
+    return (*figures, (f"{wording.number(model, how.error_decimals)} {how.error_unit}", words))
 
 
 def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
@@ -270,7 +259,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
         "the pale box of a band, one just noticeable difference about what was measured."
     ).format(symbol=symbol, pairs=say(tables.compared_words(answer)))
     title = f"{symbol} over frequency, measured and predicted"
-    series = Series(say("measured"), measured), Series(say("predicted"), predicted)
+    series = wording.Series(say("measured"), measured), wording.Series(say("predicted"), predicted)
     of = answer.bands.centres_hz, series, symbol
     return [Drawing("decay_times", title, words, "decay_time_figure", of)]
 
@@ -281,7 +270,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
 def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
     more: list[Block] = [*tables.object_tables(answer), *tables.source_tables(answer)]
     sentences = tuple(
-        (hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
+        (wording.hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
         for centre, sentence in zip(answer.bands.centres_hz, answer.sentences, strict=False)
         if sentence
     )
@@ -316,8 +305,8 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
     return Drawing(
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
-        f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
-        "holds every number.",
+        f"{wording.count(len(answer.materials), 'material')} and the mean of the room; the table "
+        "below holds every number.",
         "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
         "identifiable, the number may come from the prior. Diamonds: given. "
         "Above each panel the area of the material, and in how many bands it is identifiable.",
@@ -328,8 +317,8 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
 
 def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
     kept = sum(pair.use == "validate" for pair in answer.pairs)
-    words = count(len(answer.pairs) - kept, "fitted measurement")
-    words += f" and {count(kept, 'measurement')} kept for validation" if kept else ""
+    words = wording.count(len(answer.pairs) - kept, "fitted measurement")
+    words += f" and {wording.count(kept, 'measurement')} kept for validation" if kept else ""
     done = Sentence(f"From {words}; method {answer.method}, model {answer.model}.")
     if not answer.pairs:
         return [done, Sentence("There are no measurements to compare with.")]
@@ -371,11 +360,11 @@ def _decays(answer: Result) -> list[Block]:
     if len(pairs) > 1:
         caption += " Shown first: the pair whose parameters are furthest off."
     title = (
-        f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel "
-        "a band; the tables below hold the parameters derived from them."
+        f"Measured and predicted energy decay curves of {wording.count(len(pairs), 'pair')}, one "
+        "panel a band; the tables below hold the parameters derived from them."
     )
     names = [
-        f"decay_{i:02d}_{in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
+        f"decay_{i:02d}_{wording.in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
         for i, p in found[:_MOST_DECAY_FILES]
     ]
     off = np.nan_to_num([tables.mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
@@ -402,8 +391,9 @@ def _room(scene: Scene) -> tuple[Block, ...]:
         "two side views, all to one scale. Of many faces in view only the largest are drawn."
     )
     title = (
-        f"The room with {count(len(wall_materials(scene.room)), 'material')}, "
-        f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
+        f"The room with {wording.count(len(wall_materials(scene.room)), 'material')}, "
+        f"{wording.count(len(scene.sources), 'source')} and "
+        f"{wording.count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
     picture = Drawing("room", title, caption, "room_figure.room_figure", (scene,))
@@ -464,16 +454,20 @@ def _provenance(
         ("method, model", f"{answer.method}, {answer.model}"),
         ("intervals", answer.interval_kind),
         ("seed", str(answer.seed)),
-        ("time", f"{number(answer.seconds, 1)} s"),
+        ("time", f"{wording.number(answer.seconds, 1)} s"),
         ("evaluations", str(answer.evaluations)),
-        ("cost", f"{number(answer.cost, 2)} (half the sum of squared weighted residuals)"),
-        ("room", f"V = {area(volume_m3(mesh))} m³, S = {area(surface_area_m2(mesh))} m²"),
+        ("cost", f"{wording.number(answer.cost, 2)} (half the sum of squared weighted residuals)"),
+        (
+            "room",
+            f"V = {wording.area(volume_m3(mesh))} m³, S = {wording.area(surface_area_m2(mesh))} m²",
+        ),
         (
             "air",
-            f"{number(air_.temperature_c, 1)} °C, {number(air_.humidity_percent, 0)} % relative "
-            f"humidity, {number(air_.pressure_kpa, 1)} kPa; attenuation {law}",
+            f"{wording.number(air_.temperature_c, 1)} °C, "
+            f"{wording.number(air_.humidity_percent, 0)} % relative humidity, "
+            f"{wording.number(air_.pressure_kpa, 1)} kPa; attenuation {law}",
         ),
-        ("speed of sound", f"{number(answer.speed_of_sound_m_s, 2)} m/s"),
+        ("speed of sound", f"{wording.number(answer.speed_of_sound_m_s, 2)} m/s"),
     )
     rows = [(name, Cell(digest, style="words")) for name, digest in digests.items()]
     digest = (Table("SHA-256 of the inputs", ("file", "digest"), rows),) if rows else ()

@@ -15,14 +15,7 @@ from roomfit.materials.priors import (
     plain_logit_law,
     prior_logit_law,
 )
-from roomfit.model.parameters import (
-    absorption_of,
-    leaders,
-    physical_values,
-    position_of,
-    to_free,
-    to_physical,
-)
+from roomfit.model import parameters
 from roomfit.model.problem import Objective
 from roomfit.solver import BandFit, score_band
 from roomfit.uncertainty import gaussian
@@ -59,25 +52,28 @@ class Refinement:
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         draws = None
         if self.n_draws and answer.model == "values":
-            rng, block = np.random.default_rng(self.seed), absorption_of(objective.parameters)
+            rng, block = (
+                np.random.default_rng(self.seed),
+                parameters.absorption_of(objective.parameters),
+            )
             free, more = posterior_draws(objective, fit, self.n_draws, rng)
             low, high = block.lower[block.fitted], block.upper[block.fitted]
             draws = np.tile(answer.absorption, (len(free), 1))
             draws[:, block.fitted] = low + (high - low) * expit(free)
-            draws, evaluations = draws[:, leaders(block)], evaluations + more
+            draws, evaluations = draws[:, parameters.leaders(block)], evaluations + more
         answer = replace(answer, mirrors=trials, draws=draws, evaluations=evaluations)
         return profiled(band._replace(estimate=answer)) if self.profiles else answer
 
 
 def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> gaussian.MirrorTrial:
     """Return where a second fit ends that begins with the absorptions exchanged."""
-    block = absorption_of(objective.parameters)
-    values, _ = physical_values(objective.parameters, fit.vector)
-    start, first = np.array(fit.vector), position_of(objective.parameters, "absorption")
-    free = to_free(block, values["absorption"][exchange])[block.fitted]
+    block = parameters.absorption_of(objective.parameters)
+    values, _ = parameters.physical_values(objective.parameters, fit.vector)
+    start, first = np.array(fit.vector), parameters.position_of(objective.parameters, "absorption")
+    free = parameters.to_free(block, values["absorption"][exchange])[block.fitted]
     start[first : first + free.size] = free
     other = score_band(objective, start)
-    there, _ = physical_values(objective.parameters, other.vector)
+    there, _ = parameters.physical_values(objective.parameters, other.vector)
     gain = other.log_likelihood - fit.log_likelihood
     return gaussian.MirrorTrial(there["absorption"], gain, other.evaluations)
 
@@ -91,9 +87,12 @@ def profiled(band: gaussian.FittedBand) -> gaussian.BandEstimate:
     answer, objective, fit, steps = band
     if objective is None or fit is None:
         return answer
-    parameters = objective.parameters
-    block, first = absorption_of(parameters), position_of(parameters, "absorption")
-    free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
+    of_all = objective.parameters
+    block, first = parameters.absorption_of(of_all), parameters.position_of(of_all, "absorption")
+    free, sd = (
+        parameters.to_free(block, answer.absorption),
+        np.sqrt(np.diag(answer.logit_covariance)),
+    )
     shared_sd = np.zeros(fit.vector.size) if steps is None else np.linalg.norm(steps, axis=1)
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []
@@ -110,11 +109,11 @@ def profiled(band: gaussian.FittedBand) -> gaussian.BandEstimate:
         at, ends = free[own], np.array(free)
         more, least = Z95 * shared_sd[entry], LEAST_SIDE * Z95 * sd[own]
         ends[own] = at - max(np.hypot(at - line.lower, more), least)
-        lower[own] = to_physical(block, ends)[0][own]
+        lower[own] = parameters.to_physical(block, ends)[0][own]
         ends[own] = at + max(np.hypot(line.upper - at, more), least)
-        upper[own] = to_physical(block, ends)[0][own]
+        upper[own] = parameters.to_physical(block, ends)[0][own]
         kinds[own] = "profile"
-    leader = leaders(block)
+    leader = parameters.leaders(block)
     return replace(
         answer,
         lower95=lower[leader],

@@ -17,7 +17,6 @@ from roomfit.model.patterns import loudspeaker_axes
 # Measurement, receiver, sample or frequency, emitter: the order of axes of AES69, from which the
 # convention MultiSpeakerBRIR deviates.
 _AXES = "MRNE"
-_LARGEST_HEAD_M = 0.5
 
 Variables = Mapping[str, Hdf5Variable]  # by the names of AES69, such as "Data.IR"
 
@@ -177,7 +176,7 @@ def read_sofa_pairs(content: bytes) -> SofaPairs:
     receivers = _placed(sofa, "Listener", "Receiver", m, r)
     low, high = (_one(sofa, f"RoomCorner{end}", 1, (0.0, 0.0, 0.0))[0] for end in "AB")
     x, y, z = np.abs(high - low).tolist()
-    is_known = x * y * z > 0.0 or np.abs(receivers).max(initial=0.0) > _LARGEST_HEAD_M
+    is_known = x * y * z > 0.0 or np.abs(receivers).max(initial=0.0) > 0.5
     start = np.minimum(low, high) if x * y * z > 0.0 else 0.0 if is_known else np.nan
     grid = [(i, j, k) for i in range(m) for j in range(r) for k in range(e)]
     ends_m = np.array([[sources[i, k], receivers[i, j]] for i, j, k in grid]).swapaxes(0, 1)
