@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
+from roomfit.cli.init import draft_to_folder
 from roomfit.files.campaign import FILL_IN, blanks, read_campaign
 from roomfit.files.draft import (
     draft_campaign,
@@ -239,3 +240,50 @@ def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch,
     said = capsys.readouterr().out
     assert "positions that no recording names: MP9" in said and "FILL" not in said
     assert blanks(tomllib.loads((folder / "campaign.toml").read_text())) == []
+
+
+@pytest.mark.parametrize(
+    ("files", "known", "pairs"),
+    [
+        (("S1R1", "S2R12"), (), (("S1", "R1"), ("S2", "R12"))),
+        (("S1R1", "S2R12"), ("S1", "S2", "R1", "R12"), (("S1", "R1"), ("S2", "R12"))),
+        (("LS1_MP01",), ("LS1", "MP1"), (("LS1", "MP1"),)),
+        (("src 1 - mic 2",), ("src1", "mic2"), (("src1", "mic2"),)),
+        (("R12S2",), ("S2", "R12"), (("S2", "R12"),)),
+        (("R1", "R2"), ("S1", "S2", "R1", "R2"), ((FILL_IN, "R1"), (FILL_IN, "R2"))),
+        (("hall_S1", "hall_S2"), (), ((FILL_IN, "hall_S1"), (FILL_IN, "hall_S2"))),
+    ],
+)
+def test_a_source_is_what_the_name_of_a_file_says_or_a_blank(tmp_path, files, known, pairs):
+    names_of(tmp_path, *(f"{name}.wav" for name in files))
+    assert tuple(matching_files(tmp_path, None, known).values()) == pairs
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (10.0, -20.0, 1.0)])
+def test_a_sofa_file_of_many_pairs_gives_measurements_positions_room_and_air(tmp_path, corner):
+    """Wherever the corner of its room lies; sources are emitters, receivers those of a listener."""
+    sofar = pytest.importorskip("sofar")
+    sources, receivers = np.array([[1, 1, 1], [2, 1, 1.5]]), np.array([[3, 2, 1], [3, 1, 1.2]])
+    sofa = sofar.Sofa("SingleRoomMIMOSRIR")
+    sofa.Data_IR = np.random.default_rng(1).normal(size=(1, 2, 4800, 2))
+    sofa.Data_SamplingRate, sofa.Data_Delay = 48_000, np.zeros((1, 2, 2))
+    sofa.ListenerPosition = sofa.SourcePosition = corner
+    sofa.SourcePosition_Type, sofa.SourcePosition_Units = "cartesian", "metre"
+    sofa.ReceiverPosition, sofa.EmitterPosition = receivers[..., None], sources[..., None]
+    sofa.ReceiverPosition_Type = sofa.EmitterPosition_Type = "cartesian"
+    sofa.ReceiverPosition_Units = sofa.EmitterPosition_Units = "metre"
+    for end in ("Receiver", "Emitter"):
+        for key in ("Descriptions", "View", "Up"):
+            sofa.delete(end + key)
+    sofa.RoomCornerA, sofa.RoomCornerB = corner, np.add(corner, (5, 4, 3))
+    sofa.RoomTemperature, sofa.RoomTemperature_Units = 294.15, "kelvin"
+    sofar.write_sofa(str(tmp_path / "room.sofa"), sofa)
+    written = tomllib.loads(draft_to_folder(tmp_path, None))
+    assert written["room"]["shoebox"] == [5, 4, 3] and written["air"]["temperature_c"] == 21.0
+    assert [s["position"] for s in written["sources"].values()] == sources.tolist()
+    assert [r["position"] for r in written["receivers"].values()] == receivers.tolist()
+    assert [(m["source"], m["receiver"]) for m in written["measurements"]] == [
+        ("S1", "R1"), ("S2", "R1"), ("S1", "R2"), ("S2", "R2"),
+    ]  # fmt: skip
+    chosen = [(m["receiver_index"], m["emitter_index"]) for m in written["measurements"]]
+    assert chosen == [(0, 0), (0, 1), (1, 0), (1, 1)]

@@ -6,6 +6,7 @@ import io
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
@@ -149,3 +150,98 @@ def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path):
     file = tmp_path / "times.csv"
     file.write_text("name,500,1000\nA,1.0,1.0\nB,1.0,one\n", encoding="utf-8")
     assert "line 3, column 3" in str(refusal(read_decay_times, file).where)
+
+
+LS1, MP1 = (1.2, 1.5, 1.1), (4.1, 2.9, 1.2)
+PLACED = {
+    "a quaternion first": "name,qx,qy,qz,x,y,z\nLS1,0,.7,0,1.2,1.5,1.1\nMP1,0,0,1,4.1,2.9,1.2",
+    "another order": "z,y,x,label\n1.1,1.5,1.2,LS1\n1.2,2.9,4.1,MP1",
+    "a row of units": "Name;x;y;z\n;mm;mm;mm\nLS1;1200;1500;1100\nMP1;4100;2900;1200",
+    "a title with the unit": "all in [mm]\n\nname;x;y;z\nLS1;1200;1500;1100\nMP1;4100;2900;1200",
+    "a remark as heading": "# name,z,y,x\nLS1,1.1,1.5,1.2\nMP1,1.2,2.9,4.1",
+    "blanks": "Name  x[m]  y[m]  z[m]\nLS1   1,20  1,50  1,10\nMP1   4,10  2,90  1,20",
+    "sep=": "sep=;\nname;x;y;z\nLS1;1.2;1.5;1.1\nMP1;4.1;2.9;1.2",
+    "groups": "name;x [mm];y;z\nLS1;1.200,0;1.500,0;1.100,0\nMP1;4.100,0;2.900,0;1.200,0",
+    "groups in quotes": 'name,x_mm,y,z\nLS1,"1,200.0",1500,1100\nMP1,"4,100.0",2900,1200',
+    "numbers and directions": "ID;Name;X (m);Y;Z;Yaw\n1;LS1;1.2;1.5;1.1;9\n2;MP1;4.1;2.9;1.2;0",
+    "directions called x": "name,x,y,z,dir x,dir y,dir z\nLS1,1.2,1.5,1.1,0,0,1\nMP1,4.1,2.9,1.2",
+    "a mean below": "name,x,y,z\nLS1,1.2,1.5,1.1\nMP1,4.1,2.9,1.2\nMean,2.65,2.2,1.15\nMP2,-,n/a,",
+    "units in cells": "name;x;y;z\nLS1;1,2 m;1,5 m;1,1 m\nMP1;410 cm;290 cm;120 cm",
+    "words among numbers": "LS1,source,1.2,1.5,1.1\nMP1,mic,4.1,2.9,1.2",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PLACED)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_positions_are_read_by_their_heading(tmp_path, kind, encoding):
+    file = tmp_path / "p.csv"
+    file.write_text(PLACED[kind], encoding=encoding)
+    assert read_positions(file)[0] == {"LS1": LS1, "MP1": MP1}
+
+
+@pytest.mark.parametrize(
+    ("content", "what", "hint"),
+    [
+        ("name,azimuth,elevation,distance\nLS1,30,0,1.5", "spherical", "origin"),
+        ("LS1,1.2,1.5,1.1,90", "not understood", "name,x,y,z"),
+        ("x,y,z\n1.2,1.5,1.1", "without names", "column of names"),
+        ("name,T30,C80,D50\nLS1,1.2,1.5,1.1", "names no x, y, z", "rename"),
+        ("a,src x,src y,src z,mic x,mic y,mic z\na,1,1,1,2,2,2", "several", "row for each"),
+        ("name;x [mm];y;z\nLS1;1.200;1.500;1.100", "not understood", "thousands"),
+        ("LS1,1.2,x,1.1\nMP1,4.1,2.9,1.2", "not understood", "correct"),
+    ],
+)  # fmt: skip
+def test_positions_that_may_be_anything_are_refused_with_a_cure(tmp_path, content, what, hint):
+    file = tmp_path / "p.csv"
+    file.write_text(content)
+    error = refusal(read_positions, file)
+    assert what in error.what and hint in error.hint
+
+
+HZ = "place;125;250;500\n"
+P1, P2 = "P1;1,91;1,73;1,53\n", "P2;1,85;1,70;1,50\n"
+BOTH, FIRST = [1.88, 1.715, 1.515], [1.91, 1.73, 1.53]
+DOWN = "125\t{0}1.91\t2\n250\t{0}1.73\t2\n500\t{0}1.53\t3\n"
+REW = """RT60 data saved by REW V5.40
+Dated: Mar 3, 2026
+Format is freq (Hz), BW (octaves), EDT (s), r, T20 (s), r, T30 (s), r, T60M (s), C80 (dB)
+
+125 1/1 1.811 -0.976 1.91 -0.983 0.000 -0.993 0.000 1.09
+250 1/1 1.581 -0.913 1.672 -0.984 1.73 -0.990 0.000 3.39
+500 1/1 1.481 -0.913 1.472 -0.984 1.53 -0.990 0.000 3.39
+
+full 1/1 1.225 -0.979 1.290 -0.991 1.312 -0.993 0.000 4.00
+"""
+DECAYS = {
+    "mean and deviation": (HZ + P1 + P2 + "Mittelwert;9;9;9\nStabw.;9;9;9\nN;2;2;2", BOTH),
+    "mean between": ("place;Mean;125;250;500;Note\nP1;9;1,91;1,73;1,53;\nP2;9;1,85;1,7;1,5;x", BOTH),
+    "clarity among": (HZ + P1 + P2 + "C80 [dB];2,1;2,1;2,1", BOTH),
+    "quantities below titles": ("T30 [s]\n" + HZ + P1 + P2 + "C80 [dB]\n" + HZ + "P1;2;2;2", BOTH),
+    "quantities in a column": ("at;of;125;250;500\nP1;C80;2;2;2\nP1;T30;1,91;1,73;1,53", FIRST),
+    "Room EQ Wizard": (REW, FIRST),
+    "EASERA": ("Frequency [Hz]\tEDT [s]\tT30 [s]\tC50 [dB]\n" + DOWN.format("1.6\t"), FIRST),
+    "ODEON": ("Band (Hz)\t125\t250\t500\nT(30) (s)\t1.91\t1.73\t1.53\nTs (ms)\t125\t125\t125", FIRST),
+    "ARTA": ("Freq.(Hz)  125  250  500\nT30(s)  1.910  1.730  1.530\nr30  -0.99  -0.99  -0.99", FIRST),
+    "bands as programs compute them": ("place;125.9;0.2512 kHz;501.2\n" + P1, FIRST),
+    "kilohertz": ("f [kHz];0,125;0,25;0,5\n" + P1, FIRST),
+    "milliseconds": ("T30 in ms\n" + HZ + "P1;1910;1730;1530", FIRST),
+    "not evaluated": ("place;63;125;250;500\nP1;0.00;1.91;1.73;1.53\nP2;-1.#IND;n/a;;*", FIRST),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DECAYS)
+def test_decay_times_are_those_of_positions_and_what_is_left_out_is_said(tmp_path, kind):
+    content, expected = DECAYS[kind]
+    file = tmp_path / "t.csv"
+    file.write_text(content)
+    times, bands, findings = read_decay_times(file)
+    assert bands.centres_hz.tolist() == [125.0, 250.0, 500.0]
+    assert np.nanmean(times, axis=0) == pytest.approx(expected)
+    if "Mittelwert" in content or "C80" in content:
+        assert "left out" in findings[0].sentence
+
+
+def test_a_table_of_another_quantity_is_refused_by_it(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text("Clarity C80 [dB]\n" + HZ + P1)
+    assert "C80" in str(refusal(read_decay_times, file).found)

@@ -309,7 +309,7 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
             "this is not an NPY file that can be read",
             found=" ".join(str(error).split())[:200],
             needed="a file of numpy.save with real numbers, one response a column",
-            hint="write it with numpy.save(file, samples), samples of floats",
+            hint="save floats as (n_samples, n_responses), and say with channel which is whose",
         ) from error
     columns = values.astype(np.float64).reshape(len(values), -1)
     return _column(columns, spec, spec.sampling_rate_hz, "response")
