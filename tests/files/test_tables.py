@@ -214,14 +214,14 @@ full 1/1 1.225 -0.979 1.290 -0.991 1.312 -0.993 0.000 4.00
 """
 DECAYS = {
     "mean and deviation": (HZ + P1 + P2 + "Mittelwert;9;9;9\nStabw.;9;9;9\nN;2;2;2", BOTH),
-    "mean between": ("place;Mean;125;250;500;Note\nP1;9;1,91;1,73;1,53;\nP2;9;1,85;1,7;1,5;x", BOTH),
+    "mean between": ("place;Mean;125;250;500;x\nP1;9;1,91;1,73;1,53;\nP2;9;1,85;1,7;1,5;x", BOTH),
     "clarity among": (HZ + P1 + P2 + "C80 [dB];2,1;2,1;2,1", BOTH),
     "quantities below titles": ("T30 [s]\n" + HZ + P1 + P2 + "C80 [dB]\n" + HZ + "P1;2;2;2", BOTH),
     "quantities in a column": ("at;of;125;250;500\nP1;C80;2;2;2\nP1;T30;1,91;1,73;1,53", FIRST),
     "Room EQ Wizard": (REW, FIRST),
     "EASERA": ("Frequency [Hz]\tEDT [s]\tT30 [s]\tC50 [dB]\n" + DOWN.format("1.6\t"), FIRST),
-    "ODEON": ("Band (Hz)\t125\t250\t500\nT(30) (s)\t1.91\t1.73\t1.53\nTs (ms)\t125\t125\t125", FIRST),
-    "ARTA": ("Freq.(Hz)  125  250  500\nT30(s)  1.910  1.730  1.530\nr30  -0.99  -0.99  -0.99", FIRST),
+    "ODEON": ("Band (Hz)\t125\t250\t500\nT(30) (s)\t1.91\t1.73\t1.53\nTs\t125\t125\t125", FIRST),
+    "ARTA": ("Freq.(Hz)  125  250  500\nT30(s)  1.910  1.730  1.530\nr30  -0.9  -0.9  -0.9", FIRST),
     "bands as programs compute them": ("place;125.9;0.2512 kHz;501.2\n" + P1, FIRST),
     "kilohertz": ("f [kHz];0,125;0,25;0,5\n" + P1, FIRST),
     "milliseconds": ("T30 in ms\n" + HZ + "P1;1910;1730;1530", FIRST),
