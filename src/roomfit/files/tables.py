@@ -34,7 +34,7 @@ TIMES = ("T30", "T20", "T", "T15", "T10", "EDT")
 """Times of decay, in the order in which they are taken."""
 _MAIN = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 _MOST_COLUMNS = 16_384  # of a sheet of Excel
-_SEPARATORS = (";", "\t", ",", "  ", " ")
+_SEPARATORS = (";", "\t", "|", ",", "  ", " ")
 _GROUP_MARKS = "['\\u2019 \\xa0\\u202f]"
 _NUMBER = re.compile(
     rf"([-+\u2212]?(?:\d+(?:{_GROUP_MARKS}\d{{3}})*(?:[.,]\d+)*[.,]?|[.,]\d+)(?:e[-+]?\d+)?)"
@@ -140,6 +140,8 @@ def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
         if any(own):
             text = "" if is_book else lines[number - 1]
             is_remark = own[0].startswith(("#", "%", "//"))
+            if is_remark and not separator.strip() and not own[0].strip("#%/"):
+                own = own[1:] or [""]
             rows.append(Row(f"{path}, line {number}", own, text, is_remark))
     marks = {mark for row in rows for cell in row.cells if (mark := _decimal(cell))}
     return Sheet(separator, rows, "".join(marks) if len(marks) == 1 and not is_book else "")
@@ -238,7 +240,8 @@ def are_summaries(labels: Sequence[str]) -> list[bool]:
     words = [re.findall(r"[^\W\d_]+|∅", label.casefold()) for label in labels]
     ends = [["".join(own), *own[:1], *own[-1:]] for own in words]
     found = [any(is_word("summary", w) for w in own) for own in ends]
-    return [f or (any(found) and is_word("beside", e[0])) for f, e in zip(found, ends, strict=True)]
+    beside = [any(is_word("beside", w) for w in own if len(w) > 1 or own[0] == w) for own in ends]
+    return [f or (any(found) and b) for f, b in zip(found, beside, strict=True)]
 
 
 def are_units(row: Row) -> bool:
@@ -313,20 +316,20 @@ def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[Ba
     heading: _Bands | None = None
     quantity, in_ms, is_title, found, others = "", False, False, list[BandRow](), list[str]()
     for row, own in zip(rows, headings, strict=True):
-        ms = bool(re.search(r"[\[(;]ms([\])]|\b)|\bin ms\b", ";" + ";".join(_small(row))))
         is_new = heading is None or is_title or (own and own.at == heading.at)
         if own and is_new and 2 * len(own.at) >= most:
-            heading, in_ms = own, in_ms or ms
+            heading, in_ms = own, in_ms or _is_in_ms(row, (*own.naming, *own.at))
             others += [c for i, c in enumerate(own.labels) if c and i not in (*own.naming, *own.at)]
         elif row.is_remark or (heading and are_units(row)):
-            in_ms = in_ms or ms
+            in_ms = in_ms or _is_in_ms(row, heading.at if heading else ())
         elif heading and (names or any("".join(row.cells[i : i + 1]) for i in heading.at)):
             is_title = False
-            found += _of_row(row, heading, quantity, sheet, in_ms=in_ms or ms)
+            own_ms = in_ms or _is_in_ms(row, heading.naming)
+            found += _of_row(row, heading, quantity, sheet, in_ms=own_ms)
         else:
             before = (quantity, in_ms) if is_title else ("", False)
             quantity = quantity_in(" ".join(row.cells), in_title=True)[0] or before[0]
-            in_ms, is_title = ms or before[1], True
+            in_ms, is_title = _is_in_ms(row, range(len(row.cells))) or before[1], True
     if not found:
         needed = [*names, "125, 250, ..."]
         raise _lacking(path, what, sheet.rows, needed, "values" if heading else "bands")
@@ -334,6 +337,12 @@ def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[Ba
     if all(len(row.names[0]) == 1 for row in found if row.quantity):
         found = [row._replace(quantity="", rest=row.names[0]) for row in found]
     return found, others
+
+
+def _is_in_ms(row: Row, columns: Iterable[int]) -> bool:
+    """Whether some cells of a row say that values are in milliseconds."""
+    label = ";".join(["", *(cell for i, cell in enumerate(_small(row)) if i in columns)])
+    return bool(re.search(r"[\[(;]ms([\])]|\b)|\bin ms\b", label))
 
 
 def _of_row(
@@ -451,13 +460,13 @@ def _bands_below(sheet: Sheet, column: int) -> list[float | None]:
     return [hz if is_one else None for hz, is_one in zip(centres, own, strict=True)]
 
 
-def _head_of(n: int, above: Sequence[Row], sheet: Sheet) -> list[str]:
+def _head_of(n: int, above: list[Row], sheet: Sheet) -> list[str]:
     """Return the last line of words above rows that has as many cells, with units behind them.
 
     Room EQ Wizard writes commas between its headings, and blanks between the values below.
     """
     units = [""] * n
-    for row in reversed(above):
+    for at, row in reversed(list(enumerate(above))):
         if are_units(row):
             units = [*row.cells, *units]
             continue
@@ -466,6 +475,7 @@ def _head_of(n: int, above: Sequence[Row], sheet: Sheet) -> list[str]:
         for cells in (row.cells, *ways):
             is_same = len(cells) == n or (sheet.separator.strip() and 1 < len(cells) < n)
             if is_same and not any(sheet.number(c) for c in cells if c):
+                del above[at:]  # not a title
                 return [f"{c} {unit}".strip() for c, unit in zip(cells, units, strict=False)]
     return []
 

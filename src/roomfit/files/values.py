@@ -73,12 +73,15 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
             )
             if name in found or not name:
                 raise _refused(row, _UNCLEAR, "give each row a name of its own")
-            if tables.are_summaries([name])[0] or all(map(math.isnan, (x, y, z))):
+            if all(map(math.isnan, (x, y, z))):
                 without.append(name)
             elif math.isnan(x + y + z):
                 raise _refused(row, _UNCLEAR, "write all three, or leave the row out")
             else:
                 found[name] = (x, y, z)
+    for name, is_left in zip([*found], tables.are_summaries([*found, *without]), strict=False):
+        without += [name] if is_left else []
+        found = {n: at for n, at in found.items() if n != name or not is_left}
     if not found:
         what, hint = "the table of positions is empty", "write one for each source and receiver"
         raise InputError(what, where=str(path), found="no line", needed=_NEEDED, hint=hint)
