@@ -6,17 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from roomfit.base import whole_files
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, located
 from roomfit.base.table import csv_of
 from roomfit.base.typing import Progress, part
-from roomfit.base.whole_files import (
-    check_output_folder,
-    sole_writer,
-    whole_output_folder,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import ResultFile
 from roomfit.files.questions import Wanted, diffuse_field, diffuse_result_content, question_of
@@ -38,7 +32,7 @@ from roomfit.report.predicted import (
 )
 
 
-@sole_writer
+@whole_files.sole_writer
 @reading_noted()
 def predict_to_folder(
     campaign_file: Path,
@@ -58,7 +52,7 @@ def predict_to_folder(
     for a diffuse field: by its decay times, or by its priors where the campaign has none.
     """
     own = [read_change(text) for text in changes]
-    check_output_folder(out, overwrite=overwrite)
+    whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     found = None if absorption_file is None else read_result(absorption_file)
     question = question_of(campaign, found, own, wanted)
@@ -66,15 +60,15 @@ def predict_to_folder(
     with located(str(campaign_file)):
         predicted = predict(question, progress=part(progress, 0.0, 0.95))
     shown, drawings = describe(predicted), pair_drawings(predicted)
-    with whole_output_folder(out, overwrite=overwrite) as folder:
+    with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures
 
         write_predicted(folder, predicted, files_read())
-        write_text_atomically(folder / "predicted.html", page(shown))
+        whole_files.write_text_atomically(folder / "predicted.html", page(shown))
         if wanted is not None and wanted.grid_m is not None:
             drawings = grid_drawings(predicted, question.scene)
             records = grid_records(predicted, question.scene)
-            write_text_atomically(folder / "grid.csv", csv_of(records))
+            whole_files.write_text_atomically(folder / "grid.csv", csv_of(records))
         write_pictures(folder, Blocks("", (*shown.drawings(), *drawings), ()), png_too=png)
     if progress is not None:
         progress(1.0)
@@ -95,7 +89,7 @@ def reverberation_to_folder(
     `InputError` as of `diffuse_field` and `diffuse_absorption`; or the folder is not empty.
     """
     if out is not None:
-        check_output_folder(out, overwrite=overwrite)
+        whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     field, _ = diffuse_field(campaign)
     if field.decay_s is None:
@@ -109,9 +103,13 @@ def reverberation_to_folder(
     )  # fmt: skip
     found = replace(found, findings=field.findings)
     if out is not None:
-        with whole_output_folder(out, overwrite=overwrite) as folder:
+        with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
             content = diffuse_result_content(field, found, campaign.settings.seed, files_read())
-            write_json_atomically(folder / "result.json", content)
-            write_text_atomically(folder / "reverberation.csv", csv_of(diffuse_records(found)))
-            write_text_atomically(folder / "reverberation.html", page(diffuse_blocks(found)))
+            whole_files.write_json_atomically(folder / "result.json", content)
+            whole_files.write_text_atomically(
+                folder / "reverberation.csv", csv_of(diffuse_records(found))
+            )
+            whole_files.write_text_atomically(
+                folder / "reverberation.html", page(diffuse_blocks(found))
+            )
     return found

@@ -221,9 +221,7 @@ def _lacking(
     )
 
 
-def number_in(
-    cell: str, where: str, needed: str, hint: str = "leave the cell empty where nothing is known"
-) -> float:
+def number_in(cell: str, where: str, needed: str, hint: str) -> float:
     """Return the finite number in a cell, with a decimal point."""
     try:
         value = float(cell)
@@ -324,8 +322,7 @@ def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[Ba
             in_ms = in_ms or _is_in_ms(row, heading.at if heading else ())
         elif heading and (names or any("".join(row.cells[i : i + 1]) for i in heading.at)):
             is_title = False
-            own_ms = in_ms or _is_in_ms(row, heading.naming)
-            found += _of_row(row, heading, quantity, sheet, in_ms=own_ms)
+            found += _of_row(row, heading, quantity, sheet, in_ms=in_ms)
         else:
             before = (quantity, in_ms) if is_title else ("", False)
             quantity = quantity_in(" ".join(row.cells), in_title=True)[0] or before[0]
@@ -364,6 +361,7 @@ def _of_row(
             hint="decimal commas make two cells of one number: write a point, or semicolons",
         )
     names = tuple(cells[i] for i in naming) or ("",)
+    in_ms = in_ms or _is_in_ms(row, naming)
     own, rest = quantity_in(" ".join(filter(None, names)))
     for column in dict.fromkeys(quantity for quantity, _ in at.values()):
         of = " ".join(filter(None, (names[-1], *names[:-1])))

@@ -46,30 +46,20 @@ from roomfit.model.room_parameters import value_terms, without_responses
 from roomfit.room.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solver import BandFit, Solver, first_round, fit_band, gauss_newton
-from roomfit.uncertainty.gaussian import (
-    BandEstimate,
-    FittedBand,
-    Refine,
-    SharedErrors,
-    Starts,
-    absorption_intervals,
-    band_estimate,
-    fit_covariance,
-    prior_only_band,
-)
+from roomfit.uncertainty import gaussian
 
 # Log-likelihoods with priors that differ by less do not decide between two minima.
 ALIKE = 2.0
 # Of a standard deviation: first rounds end within a hundredth of where they lead.
 _SAME_PLACE = 0.2
 
-ErrorsOfBand: TypeAlias = Callable[[int, Objective, BandFit], SharedErrors | None]
+ErrorsOfBand: TypeAlias = Callable[[int, Objective, BandFit], gaussian.SharedErrors | None]
 """What errors that a band's windows share do to its fit; None where it has no windows."""
 
 
 def from_random_starts(
     objective: Objective, fit: BandFit, rng: np.random.Generator, number: int
-) -> tuple[BandFit, Starts]:
+) -> tuple[BandFit, gaussian.Starts]:
     """Return the likeliest of a fit and of others from random starts, and whether they agree.
 
     Starts are even over absorption. One whose first round ends where that of the usual start does
@@ -92,13 +82,13 @@ def from_random_starts(
     worth = [f.log_likelihood - 0.5 * float(p @ p) for f, p in zip(fits, priors, strict=True)]
     # rounding and rounds of weights are no better answer
     best, alike_best = choose(range(len(fits)), worth, ALIKE, least_gain=0.05)
-    how = fit_covariance(fits[best]), fits[best].chi2_reduced
-    found = absorption_intervals(parameters, fits[best].vector, *how)
+    how = gaussian.fit_covariance(fits[best]), fits[best].chi2_reduced
+    found = gaussian.absorption_intervals(parameters, fits[best].vector, *how)
     absorptions = [physical_values(parameters, f.vector)[0]["absorption"] for f in fits]
     within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in absorptions]
     others = [i for i in alike_best if not within[i]]
     nearest = max(others, key=lambda i: worth[i], default=None)
-    return replace(fits[best], evaluations=evaluations), Starts(
+    return replace(fits[best], evaluations=evaluations), gaussian.Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
@@ -113,23 +103,23 @@ def fitted_band(
     settings: Settings,
     progress: Progress | None = None,
     errors_of: ErrorsOfBand | None = None,
-) -> FittedBand:
+) -> gaussian.FittedBand:
     """Return a band with its fit; without data, with its prior."""
     if objective is None:
-        return FittedBand(prior_only_band(priors, band))
+        return gaussian.FittedBand(gaussian.prior_only_band(priors, band))
     parameters, rng = objective.parameters, np.random.default_rng(settings.seed)
     solver: Solver = gauss_newton
     if settings.method in ("simplex", "annealing"):
         solver = unit_box_solver(parameters, settings.method, rng)
     fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
-    starts: Starts | None = None
+    starts: gaussian.Starts | None = None
     if settings.method == "auto" and fit.vector.size and only_energies(objective) is not None:
         rng = np.random.default_rng(settings.seed)
         fit, starts = from_random_starts(objective, fit, rng, settings.n_random_starts)
     shared = None if errors_of is None else errors_of(band, objective, fit)
     model = "energy" if objective.is_gamma().any() else "values"
-    estimate = replace(band_estimate(parameters, fit, model, shared), starts=starts)
-    return FittedBand(estimate, objective, fit, None if shared is None else shared.steps)
+    estimate = replace(gaussian.band_estimate(parameters, fit, model, shared), starts=starts)
+    return gaussian.FittedBand(estimate, objective, fit, None if shared is None else shared.steps)
 
 
 def estimate_energies(
@@ -138,7 +128,7 @@ def estimate_energies(
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
-    refine: Refine,
+    refine: gaussian.Refine,
     progress: Progress | None,
 ) -> BandFits:
     """Estimate the absorption of every band by window energies and room parameters.
@@ -150,7 +140,7 @@ def estimate_energies(
     scene, bands, responses = measured.scene, measured.bands, measured.responses
     n, others = len(bands), other_terms(measured, traced)
 
-    def errors(band: int, objective: Objective, fit: BandFit) -> SharedErrors | None:
+    def errors(band: int, objective: Objective, fit: BandFit) -> gaussian.SharedErrors | None:
         windows = objective.as_energies(fit.vector)
         if windows is None or not fit.vector.size:
             return None
@@ -167,7 +157,7 @@ def estimate_energies(
         directivities = directed_energies(measured, priors, traced, start, unknown)
         score = None if tested is None else source_scorer(measured, traced, tested)
 
-        def answer(band: int) -> tuple[BandEstimate, DirectivityScore | None]:
+        def answer(band: int) -> tuple[gaussian.BandEstimate, DirectivityScore | None]:
             made = energy_term(scene, bands, priors, responses, traced.binned, start, band)
             if made is None:
                 objective = without_responses(others[band], priors, band, start)
