@@ -1,7 +1,7 @@
 """Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
 
     python benchmarks/known_changes.py DATA [--room r3vival together dechorate] [--step DEGREES]
-        [--rings 150 200] [--scattering S [S]] [--seed SEED] [--product-sd SD]
+        [--rings 150 200] [--scattering S [S]] [--seed SEED] [--product-sd SD] [--classes]
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
 `dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
@@ -62,6 +62,8 @@ SAME: dict[str, dict[tuple[str, str], tuple[str, ...]]] = {
     "dechorate": {("000000", "011111"): ("floor",)},
 }
 BY_PAIR: tuple[ParameterName, ...] = ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB")
+# What somebody who has seen the room says of its walls, where that is known.
+CLASSES = {"reflecting": "wood-on-battens", "absorbing": "porous-panel-thick", "floor": "carpet"}
 JUDGED_HZ = 200.0  # what is lower, single modes decide
 # As far off the axis as a loudspeaker of this size radiates within some decibels at 4 kHz.
 ON_AXIS_DEGREES = 40.0
@@ -149,12 +151,16 @@ def dechorate(data: Path, state: str) -> Case:
     return scene, measurements, {p.name: UnknownDirectivity() for p in points["src"]}
 
 
-def material_prior(name: str, scattering: list[float] | None, product_sd: float) -> MaterialPrior:
-    """Return the broad prior of a wall; panels turned to one side are of one product.
+def material_prior(
+    name: str, scattering: list[float] | None, product_sd: float, classes: bool
+) -> MaterialPrior:
+    """Return the broad prior of a wall, or of its class; panels of one side are of one product.
 
     `scattering` is that of panels turned to a side and, last, that of all else.
     """
     prior, side = unknown_material(name, len(BANDS)), name.partition(", ")[2]
+    if classes and (side or name) in CLASSES:
+        prior = roomfit.material_prior(name, BANDS, prior=CLASSES[side or name])
     if scattering is not None:
         prior = replace(prior, scattering=np.full(len(BANDS), scattering[0 if side else -1]))
     return replace(prior, product=side, product_sd=product_sd) if side and product_sd else prior
@@ -166,11 +172,12 @@ def fitted(
     scattering: list[float] | None,
     settings: roomfit.Settings,
     product_sd: float = 0.0,
+    classes: bool = False,
 ) -> Result:
     """Identify one case, and print what its walls absorb."""
     scene, measurements, directivities = case
     priors = [
-        material_prior(scene.room.materials[m], scattering, product_sd)
+        material_prior(scene.room.materials[m], scattering, product_sd, classes)
         for m in range(len(scene.room.materials))
     ]
     began = time.process_time()
@@ -180,6 +187,8 @@ def fitted(
     print(f"\n{name}: {len(measurements)} responses, {time.process_time() - began:.0f} CPU s")
     print("reduced chi-square " + " ".join(f"{x:.2f}" for x in result.chi2_reduced))
     print(wall_table(result))
+    half = 0.5 * (result.upper95 - result.lower95)
+    print(f"{np.sum(half <= 0.1)} of {half.size} half widths within 0.1")
     for finding in result.findings:
         if finding.severity != "info":
             print(f"  {finding.severity}: {finding.code}: {finding.sentence[:300]}")
@@ -348,6 +357,7 @@ def main() -> None:
     rooms = [*SAME, "together"]
     parser.add_argument("--room", nargs="+", choices=rooms, default=rooms)
     parser.add_argument("--product-sd", type=float, default=0.3, help="for together, in logit")
+    parser.add_argument("--classes", action="store_true", help="for together, say what walls are")
     parser.add_argument("--step", type=int, default=30, help="degrees between loudspeakers")
     parser.add_argument("--rings", nargs="+", default=["150", "200"], help="distances in cm")
     about = "of all walls, or of panels and of all else; left out: chosen"
@@ -365,14 +375,14 @@ def main() -> None:
         if room == "together":
             known = ("000", "100")
             both = r3vival_together(asked.data, known, ("R",), asked.step, asked.rings)
-            result = fitted(
-                "r3vival 000 and 100", both, asked.scattering, settings, asked.product_sd
-            )
+            given, classes = asked.scattering, asked.classes
+            name = "r3vival 000 and 100"
+            result = fitted(name, both, given, settings, asked.product_sd, classes)
             swap_together(asked.data, both, result, known, "R")
             print()
             for state in ABSORBING:
                 alone = r3vival_together(asked.data, (state,), (), asked.step, asked.rings)
-                single = fitted(f"r3vival {state}", alone, asked.scattering, settings)
+                single = fitted(f"r3vival {state}", alone, given, settings, classes=classes)
                 print(f"{state} and both, {unchanged(single, result, single.materials)}")
             continue
         states = dict.fromkeys(state for pair in SAME[room] for state in pair)

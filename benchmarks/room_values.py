@@ -1,6 +1,6 @@
 """ISO 3382 values as the only data: pairs left out and predicted, beside the null model.
 
-    python benchmarks/room_values.py FOLDER [--room ROOM] [--ingredients] [--closed]
+    python benchmarks/room_values.py FOLDER [--room ROOM] [--closed]
 
 FOLDER holds `bras_cr2` (scene9.ac, measured values of five pairs, one response; Aspoeck et al.,
 2020) and `ptb_studio` (polygons, measured values of six pairs; PTB's round robin III). Neither
@@ -8,8 +8,8 @@ comes with roomfit. Each pair is left out in turn, the absorption fitted to the 
 values predicted. The null model knows nothing of the room: it takes the mean of the pairs that
 were fitted.
 
---ingredients   every ingredient changed in turn
---closed        the studio predicted with its curtains closed, from a fit with open ones
+--closed   the studio with its curtains closed, from a fit with open ones: by broad priors, by
+           classes of the catalogue, and by what the participants knew of its materials
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from roomfit.files.values import read_parameters
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.compare import compared_values
 from roomfit.fit.measurements import observe
+from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import (
     MaterialPrior,
     Scattering,
@@ -63,6 +64,15 @@ BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000
 STUDIO_TABLE = {"T30/s": "T30", "EDT/s": "EDT", "C/dB": "C80", "D/%": "D50", "TS/ms": "TS"}
 STUDIO_TABLE["G/dB"] = "G"
+# What somebody who has seen the studio says of its materials.
+STUDIO_CLASSES = {"parquet": "linoleum-or-parquet", "studio wall": "plaster-or-concrete"}
+STUDIO_CLASSES |= {
+    "windowglass": "glass",
+    "wilhelmi": "porous-panel-thin",
+    "curtain(open)": "curtain",
+}
+STUDIO_CLASSES |= dict.fromkeys(("wood", "wood absorber"), "wood-on-battens")
+STUDIO_CLASSES["ceiling"] = "plasterboard"
 
 
 @dataclass(frozen=True)
@@ -174,6 +184,13 @@ def with_stated_priors(case: Case, folder: Path, logit_sd: float) -> Case:
     return replace(case, priors=tuple(priors))
 
 
+def with_class_priors(case: Case) -> Case:
+    """Return the studio with what its materials are made of as priors."""
+    names = case.scene.room.materials
+    priors = tuple(material_prior(m, BANDS, prior=STUDIO_CLASSES[m]) for m in names)
+    return replace(case, priors=priors)
+
+
 def traced(case: Case) -> BinnedPaths:
     """Trace once for all pairs, fits and bands."""
     settings = TraceSettings(
@@ -256,16 +273,6 @@ def error_table(case: Case, errors: dict[str, tuple[np.ndarray, np.ndarray]]) ->
     return "\n".join(lines)
 
 
-def short_line(label: str, case: Case, errors: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
-    """Return the judged errors in one line."""
-    cells = []
-    for name in ("T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms", "G_dB"):
-        if name in errors:
-            scale = 100.0 if name.endswith("_s") else 1.0
-            cells.append(f"{scale * errors[name][0][:, case.judged].mean():7.2f}")
-    return f"{label:44}" + " ".join(cells)
-
-
 def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
     """Print what all pairs together say of the walls."""
     absorption = absorption_of(answers)
@@ -287,7 +294,7 @@ def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
             )
 
 
-def seminar(folder: Path) -> tuple[Case, BinnedPaths]:
+def seminar(folder: Path) -> None:
     """Print the seminar room, from values alone and with the one response."""
     began = time.perf_counter()
     case = seminar_room(folder)
@@ -299,7 +306,6 @@ def seminar(folder: Path) -> tuple[Case, BinnedPaths]:
     print(error_table(case, left_out_errors(case, binned)))
     print("\nwith the response of LS1 to MP1 as well")
     print_combinations(case, with_response(case, binned, folder))
-    return case, binned
 
 
 def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandEstimate, ...]:
@@ -322,42 +328,23 @@ def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandEs
     return solved(case, joint)
 
 
-def ingredients(case: Case, variants: dict[str, Case], binned: BinnedPaths) -> None:
-    """Print the judged errors with one ingredient changed at a time."""
-    errors = left_out_errors(case, binned)
-    print(
-        f"\n{case.name}, one ingredient changed at a time\n{'':44}"
-        + " ".join(
-            f"{n.split('_')[0]:>7}"
-            for n in ("T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms", "G_dB")
-            if n in errors
-        )
-    )
-    null = {name: (e[1], e[1]) for name, e in errors.items()}
-    print(short_line("mean of the others (null)", case, null))
-    print(short_line("as above", case, errors), flush=True)
-    for label, variant in variants.items():
-        retraced = any(
-            not np.array_equal(getattr(variant, k), getattr(case, k))
-            for k in ("scattering", "image_order", "n_rays")
-        )
-        paths = traced(variant) if retraced else binned
-        print(short_line(label, variant, left_out_errors(variant, paths)), flush=True)
-
-
 def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -> None:
     """Print the studio with closed curtains, predicted from what was fitted with open ones.
 
-    The cloth is another wall then: its absorption is the fitted one times the stated ratio of
-    closed to open, which is uncertain by a quarter (one standard deviation of its logarithm: the
-    table calls both values estimated). All else is as fitted, with its uncertainty.
+    The cloth is another wall then: its absorption is the fitted one, times the stated ratio of
+    closed to open where more than classes is known, uncertain by a quarter (one standard deviation
+    of its logarithm: the table calls both values estimated). All else is as fitted.
     """
     answers = fitted(case, binned, list(case.values), 100)
+    half = 0.5 * np.array([a.upper95 - a.lower95 for a in answers])
+    sure = identifiable_by_rule(answers, case.priors)
+    print(f"\n{label}: {np.sum(half <= 0.1)} of {half.size} within 0.1, {sure.sum()} identifiable")
     other = studio(folder, closed=True)
     paths = traced(other)
     names = [m.replace(" ", "") for m in case.scene.room.materials]
     cloth = names.index("curtain(open)")
     ratio = stated(folder, "curtain(closed)")[0] / stated(folder, "curtain(open)")[0]
+    ratio = np.ones(len(BANDS)) if label == "classes" else ratio
     order = [
         cloth if m.replace(" ", "") == "curtain(closed)" else names.index(m.replace(" ", ""))
         for m in other.scene.room.materials
@@ -376,7 +363,7 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
         drawn.append(t30[:, 0].mean(axis=0))
     low, high = np.quantile(drawn[1:], (0.025, 0.975), axis=0)
     open_s = np.mean([v.values["T30_s"] for v in case.values], axis=0)
-    print(f"\nPTB studio, mean T30 of the six pairs (s), {label}")
+    print(f"PTB studio, mean T30 of the six pairs (s), {label}")
     for label, row in (
         ("measured, open", open_s),
         ("predicted, closed", drawn[0]),
@@ -390,7 +377,6 @@ def main() -> None:
     """Run both rooms."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="?", type=Path)
-    parser.add_argument("--ingredients", action="store_true")
     parser.add_argument("--closed", action="store_true")
     parser.add_argument("--room", choices=("both", "cr2", "ptb"), default="both")
     asked = parser.parse_args()
@@ -398,10 +384,7 @@ def main() -> None:
         print("no folder of measurements given: nothing to do")
         return
     if asked.room != "ptb":
-        case, binned = seminar(asked.folder / "bras_cr2")
-        if asked.ingredients:
-            exact = {"direct sound alone exact": replace(case, image_order=0)}
-            ingredients(case, variants_of(case) | exact, binned)
+        seminar(asked.folder / "bras_cr2")
     if asked.room != "cr2":
         studio_runs(asked.folder / "ptb_studio", asked)
 
@@ -414,27 +397,9 @@ def studio_runs(folder: Path, asked: argparse.Namespace) -> None:
     print_combinations(case, fitted(case, binned, list(case.values)))
     if asked.closed:
         closed_curtains(folder, case, binned, "broad priors")
+        closed_curtains(folder, with_class_priors(case), binned, "classes")
         stated_case = with_stated_priors(case, folder, 0.5)
         closed_curtains(folder, stated_case, binned, "stated absorption as priors, logit sd 0.5")
-    if asked.ingredients:
-        few = {"scattering 0.1": replace(case, scattering=0.0 * case.scattering + 0.1)}
-        few["without G"] = replace(case, names=VALUE_NAMES[:-1])
-        for sd in (0.5, 1.0):
-            few[f"stated priors, logit sd {sd:g}"] = with_stated_priors(case, folder, sd)
-        ingredients(case, variants_of(case) | few, binned)
-
-
-def variants_of(case: Case) -> dict[str, Case]:
-    """Return what both rooms are tried with."""
-    half = np.full(case.scattering.size, 0.5)
-    return {
-        "5000 rays": replace(case, n_rays=5000),
-        "60000 rays": replace(case, n_rays=60_000),
-        "scattering 0.5": replace(case, scattering=half),
-        "decay times and C80 only": replace(case, names=("T20_s", "T30_s", "EDT_s", "C80_dB")),
-        "model held for exact": replace(case, model_error_jnd=0.0),
-        "all in just noticeable differences": replace(case, model_error_jnd=10.0),
-    }
 
 
 if __name__ == "__main__":

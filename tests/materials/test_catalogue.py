@@ -226,6 +226,19 @@ def test_order_and_reprints_change_nothing(rows, data):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
+def test_octaves_correlate_in_the_tables_by_powers_of_what_neighbours_do():
+    """Off the mean of each class, pooled: one octave apart to five, means over octaves."""
+    off = []
+    for entry in (find_material(name) for name in catalogue().classes):
+        rows = logit(distinct(np.array([r.absorption for r in entry.readings]))[:, 1:7])
+        off.append(rows - rows.mean(axis=0))
+    found = np.corrcoef(np.concatenate(off).T)
+    apart = np.abs(np.subtract.outer(np.arange(6), np.arange(6)))
+    one = find_material("carpet").octave_correlation
+    mean = [found[apart == d].mean() for d in range(6)]
+    np.testing.assert_allclose(mean, one ** np.arange(6), atol=0.06)
+
+
 def test_a_reading_left_out_lies_where_the_others_said():
     """95 % intervals of an entry hold a further table.
 

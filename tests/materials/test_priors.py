@@ -153,3 +153,4 @@ def test_draws_about_a_mean_are_expit_of_the_first_order_law_and_the_mean_withou
     np.testing.assert_allclose(found[:, 0], wanted)
     np.testing.assert_array_equal(found[:, 1:3], [[0.5, 1.0]] * 2)
     np.testing.assert_allclose(found[:, 3], expit(logit(np.array(1e-4)) + 1e-5 / 9.999e-5 * z))
+    np.testing.assert_array_equal(logit_normal(mean, sd, np.tile(z[:, None], 4)), found)

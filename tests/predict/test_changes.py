@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from roomfit.base.bands import bands_between
-from roomfit.materials.catalogue import catalogue_prior
+from roomfit.materials.catalogue import band_correlation, catalogue_prior, find_material
 from roomfit.predict.changes import Change, changed_draws
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -36,8 +37,15 @@ def test_an_entry_of_the_catalogue_stands_with_its_mean_and_spread():
     # four standard errors of a share of a half
     assert np.abs((drawn[:, 0] < mean).mean(axis=0) - 0.5).max() < 4 * 0.5 / np.sqrt(N_DRAWS)
     # the spread of the logit is that of the mean to first order
-    spread = np.std(np.log(drawn[:, 0] / (1.0 - drawn[:, 0])), axis=0)
-    np.testing.assert_allclose(spread, sd / (mean * (1.0 - mean)), rtol=0.05)
+    logits = np.log(drawn[:, 0] / (1.0 - drawn[:, 0]))
+    np.testing.assert_allclose(logits.std(axis=0), sd / (mean * (1.0 - mean)), rtol=0.05)
+    # bands are off alike as far as tables are; within four standard errors
+    apart = find_material("plaster-on-masonry").octave_correlation
+    found = np.corrcoef(logits.T)[0, 1]
+    assert abs(found - apart) < 4 * (1.0 - apart**2) / np.sqrt(N_DRAWS)
+    assert band_correlation("Carpet", bands_between("octave", 500, 2000))[0, 2] == pytest.approx(
+        find_material("carpet").octave_correlation ** 2
+    )
 
 
 def test_another_material_of_the_room_is_taken_with_its_own_draws():

@@ -153,7 +153,10 @@ def test_absorption_and_intervals_are_those_of_the_result(written, book):
             expected = [found[key][i] for key in ("absorption", "lower95", "upper95")]
             # two decimals, three where it is small
             np.testing.assert_allclose([number(value), lower, upper], expected, atol=0.00501)
-            assert bool(marks) != found["identifiable"][i]
+            assert ("not identif." in marks) != found["identifiable"][i]
+            before = [number(x) for x in marks[-1].removeprefix("before ").split(DASH)]
+            prior = [found["prior"][key][i] for key in ("lower95", "upper95")]
+            np.testing.assert_allclose(before, prior, atol=0.00501)
 
 
 @pytest.mark.slow

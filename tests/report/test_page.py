@@ -105,6 +105,8 @@ def test_absorption_and_intervals_are_those_of_the_answer(case):
             np.testing.assert_allclose(reported, true, atol=0.00501)
             sure = bool(answer.identifiable[i, j])
             assert (cell[0][0] == "(", "not identif." in cell) == (not sure, not sure)
+            before = [number(t) for t in cell[-1].removeprefix("before ").split(DASH)]
+            np.testing.assert_allclose(before, answer.prior[1:, i, j], atol=0.00501)
     means = [number(cell[0]) for cell in rows["mean of the room"]]
     np.testing.assert_allclose(means, answer.mean_absorption[0], atol=0.00501)
 

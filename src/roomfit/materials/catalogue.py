@@ -82,6 +82,17 @@ def common_spread(materials: Iterable[FloatArray]) -> float:
     return float(np.sqrt(squares / freedom))
 
 
+def octave_correlation(materials: Iterable[FloatArray]) -> float:
+    """Return how what readings of the same name are off their mean correlates an octave apart.
+
+    In logit, pooled over all names and neighbours among octaves 125 to 4000 Hz. Octaves further
+    apart correlate by its power, as they do in the tables (of classes .81, .63, .51, .41, .29).
+    """
+    off = [v - v.mean(axis=0) for m in materials for v in [table_logit(distinct(m)[:, 1:7])]]
+    lower, upper = (np.concatenate(off)[:, own] for own in (slice(0, 5), slice(1, 6)))
+    return float(np.sum(lower * upper) / np.sqrt(np.sum(lower**2) * np.sum(upper**2)))
+
+
 def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, FloatArray]:
     """Return middle and standard deviation of logit absorption, each of shape (8,).
 
@@ -137,6 +148,7 @@ class CatalogueEntry(NamedTuple):
     # `roomfit.materials.catalogue`
     logit_mean: FloatArray
     logit_sd: FloatArray
+    octave_correlation: float  # of what a material is off that mean, see `octave_correlation`
 
     @property
     def absorption(self) -> FloatArray:
@@ -191,7 +203,8 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
             eight[7 - len(values) : 7] = values
             rows.append(Reading(content["sources"][source], row, read_only(eight)))
         readings[name] = tuple(rows)
-    common = common_spread(map(_table, readings.values()))
+    tables = [_table(own) for own in readings.values()]
+    common = common_spread(tables), octave_correlation(tables)
     entries = [
         _entry(name, m["group"], m["what"], readings[name], common) for name, m in given.items()
     ]
@@ -200,7 +213,8 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
         name: tuple(r._replace(row=f"{of}: {r.row}") for of in own["of"] for r in readings[of])
         for name, own in named.items()
     }
-    spread = common_spread(map(_table, pooled.values())) if pooled else common
+    tables = [_table(own) for own in pooled.values()]
+    spread = (common_spread(tables), octave_correlation(tables)) if pooled else common
     for name, own in named.items():
         found = _entry(name, given[own["of"][0]]["group"], own["what"], pooled[name], spread)
         # a class is no average of its kinds but one more of them
@@ -208,7 +222,7 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
         entries.append(found._replace(logit_sd=read_only(found.logit_sd * np.sqrt(1.0 + 1.0 / n))))
     groups = list(dict.fromkeys(m["group"] for m in given.values()))
     entries.sort(key=lambda e: (groups.index(e.group), e.name not in named))
-    return Catalogue(tuple(entries), common, tuple(named))
+    return Catalogue(tuple(entries), common[0], tuple(named))
 
 
 def _table(readings: Iterable[Reading]) -> FloatArray:
@@ -216,10 +230,10 @@ def _table(readings: Iterable[Reading]) -> FloatArray:
 
 
 def _entry(
-    name: str, group: str, what: str, readings: tuple[Reading, ...], common: float
+    name: str, group: str, what: str, readings: tuple[Reading, ...], common: tuple[float, float]
 ) -> CatalogueEntry:
-    mean, sd = map(read_only, typical_logit(_table(readings), common))
-    return CatalogueEntry(name, group, what, readings, mean, sd)
+    mean, sd = map(read_only, typical_logit(_table(readings), common[0]))
+    return CatalogueEntry(name, group, what, readings, mean, sd, common[1])
 
 
 def find_material(name: str) -> CatalogueEntry:
@@ -351,6 +365,15 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
         hint = f"people stand in the room: [objects.NAME] absorption_area_m2 = {name!r}"
         raise InputError(what, found=found, needed="an entry of a surface", hint=hint)
     return _middle_and_sd(name, bands)
+
+
+def band_correlation(name: str, bands: Bands) -> FloatArray:
+    """Return how what a material is off its entry correlates from band to band, (n_bands, n_bands).
+
+    By the correlation an octave apart to the power of the distance in octaves.
+    """
+    apart = np.abs(np.subtract.outer(np.log2(bands.centres_hz), np.log2(bands.centres_hz)))
+    return np.asarray(find_material(name).octave_correlation ** apart)
 
 
 def _middle_and_sd(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.materials.catalogue import catalogue_prior
+from roomfit.materials.catalogue import band_correlation, catalogue_prior
 from roomfit.materials.priors import logit_normal, object_absorption
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -151,6 +151,7 @@ def _new_absorption(
         # what was found of it, with all that it shares with the others
         other = posterior.materials.index(change.entry)
         return posterior.absorption[other], draws[:, other], ()
+    correlation = None
     if change.kind == "catalogue":
         if change.material in posterior.objects:
             raise InputError(
@@ -160,6 +161,7 @@ def _new_absorption(
                 hint=f"write {change.material}=0, or its area in m2",
             )
         mean, sd = catalogue_prior(change.entry, posterior.bands)
+        correlation = band_correlation(change.entry, posterior.bands)
     elif change.material in posterior.objects:
         # areas in m2, as the absorption that they stand for in the room
         volume_m3 = posterior.objects[change.material]
@@ -168,12 +170,20 @@ def _new_absorption(
         sd = object_absorption(area_m2 + sd_m2, volume_m3) - mean
     else:
         mean, sd = values_per_band(change, posterior.bands, high=1.0)
-    return mean, product_draws(mean, sd, len(draws), seed), ()
+    return mean, product_draws(mean, sd, len(draws), seed, correlation), ()
 
 
-def product_draws(mean: FloatArray, sd: FloatArray, n: int, seed: int) -> FloatArray:
-    """Return draws of what is not of the room, (n, n_bands): of one product the same anywhere."""
-    return logit_normal(mean, sd, _normals(n, seed, 0, mean, sd))
+def product_draws(
+    mean: FloatArray, sd: FloatArray, n: int, seed: int, correlation: FloatArray | None = None
+) -> FloatArray:
+    """Return draws of what is not of the room, (n, n_bands): of one product the same anywhere.
+
+    `correlation`, (n_bands, n_bands): of what bands are off; left out, all are off alike.
+    """
+    if correlation is None:
+        return logit_normal(mean, sd, _normals(n, seed, 0, mean, sd))
+    z = _normals(n * len(mean), seed, 0, mean, sd).reshape(n, -1)
+    return logit_normal(mean, sd, z @ np.linalg.cholesky(correlation).T)
 
 
 def _normals(n: int, seed: int, *key: int | FloatArray) -> FloatArray:

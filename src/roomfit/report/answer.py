@@ -131,7 +131,7 @@ def result_blocks(
     def folded(heading: str, name: str, words: str, shown: Iterable[Block], **more: bool) -> None:
         blocks.append(Part(heading, tuple(shown), name, words, folded=True, in_text=False, **more))
 
-    folded("How sure", "certainty", "priors, the fit, the uncertainty budget", _certainty(answer))
+    folded("How sure", "certainty", "the fit, the uncertainty budget", _certainty(answer))
     if scene is not None:
         areas: list[Block] = [Sentence(_AREAS), *tables.area_tables(answer, scene)]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
@@ -179,8 +179,8 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
                 "be used before the findings are resolved."
             )
         return say(
-            "The data do not determine the absorption of any material by itself, only the mean of "
-            "the room."
+            "The data do not determine the absorption of any material by itself: the mean of the "
+            "room, the groups and what the walls are made of are the answer together."
         )
     everywhere = np.ones(len(answer.bands), dtype=np.bool_)
     half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
@@ -293,8 +293,9 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
         *tables.absorption_tables(answer),
         Sentence(
             "In the table, brackets and the words “not identif.” mark a coefficient that the data "
-            "do not determine: take the mean of the room instead, measure more positions, or "
-            "specify a prior.",
+            "do not determine. There the mean of the room, the groups and what the walls are made "
+            "of (“before”: the prior) are the answer together; measure more positions, or specify "
+            "a prior.",
             "note",
         ),
         *more,
@@ -406,7 +407,6 @@ def _certainty(answer: Result) -> list[Block]:
         "the data, and no coefficient counts as identifiable."
     )
     found: list[Block] = [
-        *tables.prior_tables(answer),
         *tables.fit_tables(answer),
         Sentence(phi, "note"),
     ]

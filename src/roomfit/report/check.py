@@ -121,7 +121,8 @@ def entry_text(entry: CatalogueEntry) -> str:
     caption = f"{entry.name}\n{entry.description} ({entry.group})\n"
     notes = (
         "",
-        "63 Hz and 8 kHz are extrapolated from their neighbours, with a wider spread, where no",
-        f'reading has them. As a prior in a campaign: prior = "{entry.name}"',
+        f"Deviations correlate by {entry.octave_correlation:.2f} an octave apart. 63 Hz and 8 kHz,",
+        "where no reading has them, are extrapolated from their neighbours, with a wider spread.",
+        f'As a prior in a campaign: prior = "{entry.name}"',
     )
     return text_of(Table(caption, ("octave, Hz", *_OCTAVES), rows, notes))

@@ -77,26 +77,21 @@ def known_or(cell: Cell, reason: str, style: str = "missing") -> Cell:
 
 
 def absorption_tables(answer: Result) -> tuple[Table, ...]:
-    """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
+    """Return absorption with its 95 % interval, and that of the prior below; last the mean."""
     rows, fixed = [], fixed_coefficients(answer)
     values = np.stack([answer.absorption, answer.lower95, answer.upper95])
     for i, name in enumerate(answer.materials):
         head = Cell(name, (f"{area(float(answer.areas_m2[i]))} m²",), colour=material_colour(i))
-        rows.append((head, *bounded_cells(values[:, i], answer.identifiable[i], fixed[i])))
+        cells = bounded_cells(values[:, i], answer.identifiable[i], fixed[i])
+        for j in np.flatnonzero(~fixed[i]):
+            low, high = answer.prior[1:, i, j].tolist()
+            before = f"before {coefficient(low, high)}{DASH}{coefficient(high, high)}"
+            cells[j] = replace(cells[j], small=(*cells[j].small, before))
+        rows.append((head, *cells))
     whole = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
     total = Cell("mean of the room", (whole,), "total")
     rows.append((total, *bounded_cells(answer.mean_absorption)))
     caption = f"Absorption coefficient, 95 % interval ({answer.interval_kind})"
-    return band_tables(caption, "material", answer.bands.centres_hz, rows)
-
-
-def prior_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the prior, in the order of `absorption_tables`."""
-    each = zip(
-        answer.materials, answer.prior.swapaxes(0, 1), fixed_coefficients(answer), strict=True
-    )
-    rows = [(name, *bounded_cells(own, fixed=fixed)) for name, own, fixed in each]
-    caption = "Prior, specified or assumed, 95 % interval"
     return band_tables(caption, "material", answer.bands.centres_hz, rows)
 
 

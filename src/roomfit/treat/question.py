@@ -12,6 +12,7 @@ from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.materials.catalogue import band_correlation
 from roomfit.predict.changes import product_draws
 from roomfit.predict.diffuse import NAME, PreparedField
 from roomfit.predict.predict import ChangingRoom
@@ -263,10 +264,14 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
 
 def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArray:
     """Return draws of what products absorb, (n_draws, n_products, n_bands): equal in every call."""
-    drawn, materials = [], room.absorption.materials
+    drawn, known = [], room.absorption
     for p in products:
-        own = product_draws(p.absorption, p.sd, len(room.draws), room.seed)
-        drawn.append(room.draws[:, materials.index(p.entry)] if p.entry in materials else own)
+        if p.entry in known.materials:
+            drawn.append(room.draws[:, known.materials.index(p.entry)])
+            continue
+        correlation = band_correlation(p.entry, known.bands) if p.entry else None
+        own = product_draws(p.absorption, p.sd, len(room.draws), room.seed, correlation)
+        drawn.append(own)
     return np.stack(drawn, axis=1)
 
 
