@@ -20,6 +20,7 @@ from roomfit.materials.catalogue import (
     catalogue,
     catalogue_from,
     catalogue_prior,
+    common_spread,
     distinct,
     find_material,
     typical_logit,
@@ -153,7 +154,8 @@ def test_the_common_spread_is_the_pooled_variance_of_names_with_several_readings
             if len(values) > 1:
                 pooled += (len(values) - 1) * statistics.variance(values)
                 freedom += len(values) - 1
-    assert catalogue().common_logit_sd == pytest.approx((pooled / freedom) ** 0.5, rel=1e-12)
+    found = common_spread(np.array([r.absorption for r in e.readings]) for e in kinds())
+    assert found == pytest.approx((pooled / freedom) ** 0.5, rel=1e-12)
 
 
 def test_a_single_reading_has_the_common_spread():
@@ -246,7 +248,8 @@ def test_a_reading_left_out_lies_where_the_others_said():
     chance alone moves a share of .95 by .025 (two standard deviations). Nothing is random here:
     the limits only fail when the catalogue or the rule changes.
     """
-    inside, common = [], catalogue().common_logit_sd
+    tables = [np.array([r.absorption for r in e.readings]) for e in kinds()]
+    inside, common = [], common_spread(tables)
     for entry in kinds():
         rows = distinct(np.array([r.absorption for r in entry.readings]))
         for i in range(len(rows) if len(rows) > 2 else 0):

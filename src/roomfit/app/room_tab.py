@@ -145,8 +145,7 @@ class RoomTab(elements.Tab):
             with_input=True, new_value_mode="add-unique",
         )  # fmt: skip
         entries = {e.name: e for e in catalogue().entries}
-        likely = [n for n in suggested_entries(material["name"]) if n in entries]
-        first = [*likely, *catalogue().classes]
+        first = [*suggested_entries(material["name"]), *catalogue().classes]
         words = {n: catalogue_words()[n] for n in dict.fromkeys([*first, *entries])}
         entry = entries.get(material["prior"])
         prior: dict[str, Any] = {"entry": None if entry is None else entry.name}

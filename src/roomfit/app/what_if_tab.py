@@ -34,7 +34,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.table import Value
 from roomfit.files.encoding import written_content
 from roomfit.files.responses import RESPONSE_SUFFIXES
-from roomfit.materials.catalogue import catalogue
+from roomfit.materials.catalogue import OCTAVES_HZ, find_material
 from roomfit.report.wording import count, hertz
 
 _PREPARE_S = 900.0  # a change may need it, too, where the process was started again
@@ -74,7 +74,7 @@ class Changes:
         found = [round(a, 3) for a in self.found[material]]
         if own is None:
             return found
-        octaves = next(e for e in catalogue().entries if e.name == own).absorption_by_hz
+        octaves = dict(zip(OCTAVES_HZ, find_material(own).absorption.tolist(), strict=True))
         return [round(octaves.get(f, a), 3) for f, a in zip(self.bands_hz, found, strict=True)]
 
     def move(self, material: str, band: int, value: float) -> bool:

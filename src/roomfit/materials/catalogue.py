@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NamedTuple
@@ -155,23 +155,11 @@ class CatalogueEntry(NamedTuple):
         """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
         return expit(self.logit_mean)
 
-    @property
-    def absorption_by_hz(self) -> dict[float, float]:
-        """Middle absorption by the centre of its octave in Hz."""
-        return dict(zip(OCTAVES_HZ, self.absorption.tolist(), strict=True))
-
-    @property
-    def sd(self) -> FloatArray:
-        """Standard deviation of absorption, shape (8,), to first order from that of its logit."""
-        a = self.absorption
-        return np.asarray(self.logit_sd * a * (1.0 - a))
-
 
 class Catalogue(NamedTuple):
     """All entries group by group, classes first."""
 
     entries: tuple[CatalogueEntry, ...]
-    common_logit_sd: float  # how far tables differ where they use the same name
     classes: tuple[str, ...]  # what walls are made of, as people say who do not know which kind
 
 
@@ -203,37 +191,32 @@ def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
             eight[7 - len(values) : 7] = values
             rows.append(Reading(content["sources"][source], row, read_only(eight)))
         readings[name] = tuple(rows)
-    tables = [_table(own) for own in readings.values()]
-    common = common_spread(tables), octave_correlation(tables)
-    entries = [
-        _entry(name, m["group"], m["what"], readings[name], common) for name, m in given.items()
-    ]
-    named = content.get("classes", {})
-    pooled = {
-        name: tuple(r._replace(row=f"{of}: {r.row}") for of in own["of"] for r in readings[of])
-        for name, own in named.items()
+    kinds = {name: (m["group"], m["what"], readings[name]) for name, m in given.items()}
+    classes = {
+        name: (
+            given[own["of"][0]]["group"],
+            own["what"],
+            tuple(r._replace(row=f"{of}: {r.row}") for of in own["of"] for r in readings[of]),
+        )
+        for name, own in content.get("classes", {}).items()
     }
-    tables = [_table(own) for own in pooled.values()]
-    spread = (common_spread(tables), octave_correlation(tables)) if pooled else common
-    for name, own in named.items():
-        found = _entry(name, given[own["of"][0]]["group"], own["what"], pooled[name], spread)
-        # a class is no average of its kinds but one more of them
-        n = len(distinct(_table(found.readings)))
-        entries.append(found._replace(logit_sd=read_only(found.logit_sd * np.sqrt(1.0 + 1.0 / n))))
+    # a class is no average of its kinds but one more of them
+    entries = [*_entries(classes, one_more=True), *_entries(kinds)]
     groups = list(dict.fromkeys(m["group"] for m in given.values()))
-    entries.sort(key=lambda e: (groups.index(e.group), e.name not in named))
-    return Catalogue(tuple(entries), common[0], tuple(named))
+    entries.sort(key=lambda e: groups.index(e.group))
+    return Catalogue(tuple(entries), tuple(classes))
 
 
-def _table(readings: Iterable[Reading]) -> FloatArray:
-    return np.array([r.absorption for r in readings])
-
-
-def _entry(
-    name: str, group: str, what: str, readings: tuple[Reading, ...], common: tuple[float, float]
-) -> CatalogueEntry:
-    mean, sd = map(read_only, typical_logit(_table(readings), common[0]))
-    return CatalogueEntry(name, group, what, readings, mean, sd, common[1])
+def _entries(
+    named: Mapping[str, tuple[str, str, tuple[Reading, ...]]], *, one_more: bool = False
+) -> Iterator[CatalogueEntry]:
+    tables = {k: np.array([r.absorption for r in rows]) for k, (*_, rows) in named.items()}
+    common = common_spread(tables.values()) if tables else 0.0
+    apart = octave_correlation(tables.values()) if tables else 0.0
+    for name, table in tables.items():
+        mean, sd = typical_logit(table, common)
+        sd *= np.sqrt(1.0 + one_more / len(distinct(table)))
+        yield CatalogueEntry(name, *named[name], read_only(mean), read_only(sd), apart)
 
 
 def find_material(name: str) -> CatalogueEntry:
@@ -264,16 +247,6 @@ def _similar(wanted: str) -> str | None:
     known = [w for w in (nearest(part, words) for part in wanted.split("-")) if w]
     offered = [name for name in names if any(w in name.split("-") for w in known)]
     return f"did you mean one of {', '.join(offered[:6])}?" if offered else None
-
-
-def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
-    """Return every entry whose name, group or description has all of the words."""
-    wanted = [w.lower() for w in words]
-    return tuple(
-        e
-        for e in catalogue().entries
-        if all(w in f"{e.name} {e.group} {e.description}".lower() for w in wanted)
-    )
 
 
 # what follows says where the material is, or what is behind it

@@ -10,7 +10,7 @@ import numpy as np
 
 from roomfit.base.logit import Z95, expit
 from roomfit.base.table import Cell, Column, Table, Value, text_of
-from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry, find_material, search_catalogue
+from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry, catalogue, find_material
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence, Terms
 from roomfit.report.wording import short_hertz
 
@@ -98,8 +98,10 @@ def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
 
 
 def materials_text(words: Sequence[str]) -> str:
-    """Return the entry of this name with its spread and sources, or a line for each that fits."""
-    found, name = search_catalogue(words), "-".join(words)
+    """Return the entry of this name in full, or a line for each in which all words occur."""
+    entries, name = catalogue().entries, "-".join(words)
+    said = [f"{e.name} {e.group} {e.description}".lower() for e in entries]
+    found = [e for e, t in zip(entries, said, strict=True) if all(w.lower() in t for w in words)]
     if words and (not found or name.lower() in (e.name for e in found)):
         return entry_text(find_material(name))
     return catalogue_text(found)
@@ -108,9 +110,10 @@ def materials_text(words: Sequence[str]) -> str:
 def entry_text(entry: CatalogueEntry) -> str:
     """Return one entry in full: middle, spread, and every reading with its source."""
     low, high = (expit(entry.logit_mean + z * entry.logit_sd) for z in (-Z95, Z95))
+    a = entry.absorption
     rows: list[Sequence[Value]] = [
-        ("absorption", *entry.absorption),
-        ("standard deviation", *entry.sd),
+        ("absorption", *a),
+        ("standard deviation", *(entry.logit_sd * a * (1.0 - a))),
         ("95 % from", *low),
         ("95 % to", *high),
         ("",),
