@@ -341,10 +341,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 
 def band_correlation(name: str, bands: Bands) -> FloatArray:
-    """Return how what a material is off its entry correlates from band to band, (n_bands, n_bands).
-
-    By the correlation an octave apart to the power of the distance in octaves.
-    """
+    """Return how deviations from an entry correlate between bands, shape (n_bands, n_bands)."""
     apart = np.abs(np.subtract.outer(np.log2(bands.centres_hz), np.log2(bands.centres_hz)))
     return np.asarray(find_material(name).octave_correlation ** apart)
 

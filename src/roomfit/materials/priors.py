@@ -137,8 +137,7 @@ def logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray:
     """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself.
 
     `mean, sd`, shape (n_bands,): of absorption coefficients; the mean is taken as 0.0001 to 0.9999.
-    `z`, shape (n_draws,) or (n_draws, n_bands): standard normal numbers, one a draw for all bands
-    or one a band.
+    `z`, shape (n_draws,) or (n_draws, n_bands): standard normal numbers, for all bands or each.
     """
     middle, width = logit_prior(np.clip(mean, 1e-4, 1.0 - 1e-4), sd)
     drawn = expit(middle + width * z.reshape(len(z), -1))

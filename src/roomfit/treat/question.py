@@ -266,12 +266,10 @@ def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArra
     """Return draws of what products absorb, (n_draws, n_products, n_bands): equal in every call."""
     drawn, known = [], room.absorption
     for p in products:
-        if p.entry in known.materials:
-            drawn.append(room.draws[:, known.materials.index(p.entry)])
-            continue
-        correlation = band_correlation(p.entry, known.bands) if p.entry else None
+        is_own = p.entry in known.materials
+        correlation = band_correlation(p.entry, known.bands) if p.entry and not is_own else None
         own = product_draws(p.absorption, p.sd, len(room.draws), room.seed, correlation)
-        drawn.append(own)
+        drawn.append(room.draws[:, known.materials.index(p.entry)] if is_own else own)
     return np.stack(drawn, axis=1)
 
 
