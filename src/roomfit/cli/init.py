@@ -19,8 +19,9 @@ from roomfit.files.campaign import blanks
 from roomfit.files.draft import carried_in, draft_campaign, likely_units
 from roomfit.files.edits import sole_editor
 from roomfit.files.file_names import matching_files, recordings_in
+from roomfit.files.responses import read_response
 from roomfit.files.rooms import READERS
-from roomfit.files.schema import RoomSpec
+from roomfit.files.schema import ResponseSpec, RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
 from roomfit.report.wording import count
 
@@ -64,7 +65,12 @@ def init(
         used = {m["file"] for m in written["measurements"]}
         if not names:
             lines.append(f"no recordings lie in {folder}")
-        elif others := [name for name in names if name not in used]:
+        for name in [n for n in names if n.endswith((".npy", ".mat"))][:1]:  # others are alike
+            try:
+                read_response(ResponseSpec(folder / name, sampling_rate_hz=48_000.0))
+            except InputError as error:
+                lines.append(f"{name}: {error.what}: {error.found}; needed: {error.needed}")
+        if others := [name for name in names if name not in used]:
             lines.append(f"left out, names that do not fit: {in_short(others)}")
     if positions is not None:
         points = {*written["sources"], *written["receivers"]}

@@ -19,20 +19,12 @@ from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.traced_room import TracedRoom, trace_room
 from roomfit.materials.priors import object_area_m2
 from roomfit.model.reduced_rows import ReducedRows
-from roomfit.predict import decay
+from roomfit.predict import decay, tables
 from roomfit.predict.changes import Change, change_text, changed_draws
 from roomfit.predict.measured import Anchor, anchored, anchors, given_others
 from roomfit.predict.prediction import Predicted, PredictedPair, PredictedValue, change_findings
 from roomfit.predict.question import Question
 from roomfit.predict.split import prior_dominated
-from roomfit.predict.tables import (
-    ObservedPair,
-    observed_pairs,
-    predicted_means,
-    predicted_pairs,
-    with_sti,
-    without_jnd,
-)
 from roomfit.result import result_doubts
 from roomfit.room.mesh import triangle_areas_m2, volume_m3
 from roomfit.room.scene import Scene, material_areas_m2, materials_of_surfaces, pair_states
@@ -49,7 +41,7 @@ class PreparedRoom:
     traced: TracedRoom
     absorption: AbsorptionPosterior
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
-    observed: tuple[ObservedPair, ...]
+    observed: tuple[tables.ObservedPair, ...]
     # of every pair, as it was found; none where some absorption is known after a change only
     model: tuple[decay.PairNumbers, ...]  # by the model alone
     elsewhere: tuple[FloatArray, ...]  # in fitted states, of a state that was not
@@ -92,7 +84,9 @@ def prepare_paths(
     shares = absorption, draws, absorption.materials, areas_m2
     dominated = prior_dominated(*shares, np.random.default_rng(settings.seed))
     followed, is_known = _followed_absorptions(absorption, alternatives)
-    observed, measured_findings = observed_pairs(scene, question.measurements, absorption.bands)
+    observed, measured_findings = tables.observed_pairs(
+        scene, question.measurements, absorption.bands
+    )
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
     traced = trace_room(scene, absorption, followed, longest_s, settings, done)
     bands, found = absorption.bands, absorption.absorption
@@ -112,7 +106,7 @@ def prepare_paths(
         tuple(anchored(n, n, a) for n, a in zip(model, moves, strict=True))
         for moves in (own, [a.without_own() for a in own])
     )
-    observed = with_sti(scene, bands, observed, before, speech_db)
+    observed = tables.with_sti(scene, bands, observed, before, speech_db)
     return replace(
         room, observed=observed, model=model, anchors=own, before=before, expected=expected
     )
@@ -287,22 +281,26 @@ def _tables(
     """Return what is predicted of every pair, and the means over them."""
     scene, bands, observed = room.scene, room.absorption.bands, room.observed
     if not room.before:
-        observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
+        observed = tables.with_sti(scene, bands, observed, numbers[-1], room.speech_db)
     expected = room.expected or numbers[0]
-    means, sti, _ = predicted_means(scene, numbers, observed, expected, sabine)
+    means, sti, _ = tables.predicted_means(scene, numbers, observed, expected, sabine)
     of_pairs = [expected] if len(numbers) == 1 else numbers
-    pairs = predicted_pairs(scene, bands, of_pairs, observed, expected, sabine)
+    pairs = tables.predicted_pairs(scene, bands, of_pairs, observed, expected, sabine)
     if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement
         pairs = tuple(
-            replace(p, parameters=without_jnd(p.parameters), sti=without_jnd({0: p.sti})[0])
+            replace(
+                p,
+                parameters=tables.without_jnd(p.parameters),
+                sti=tables.without_jnd({0: p.sti})[0],
+            )
             for p in pairs
         )
-        means, sti = without_jnd(means), without_jnd({0: sti})[0]
+        means, sti = tables.without_jnd(means), tables.without_jnd({0: sti})[0]
     return pairs, means, sti
 
 
-def _longest_s(observed: Sequence[ObservedPair]) -> float:
+def _longest_s(observed: Sequence[tables.ObservedPair]) -> float:
     """Return the longest measured decay time, T20 or T30, 0 where none is known."""
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
     known = [o.values[rows][np.isfinite(o.values[rows])] for o in observed]
