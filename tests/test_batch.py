@@ -137,6 +137,29 @@ def test_a_cluster_gives_the_same_bits_after_its_client_was_killed(
     assert results(there) == results(tmp_path / "here")
 
 
+@pytest.mark.slow
+def test_an_interrupted_batch_leaves_no_lock_and_no_half_of_a_room(
+    rooms: list[Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "roomfit", "batch", *map(str, rooms), "--out", str(out)]
+    run = subprocess.Popen(
+        [*command, "--workers", "2"],
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 300.0
+    while not list(out.glob("rooms/.*")):
+        assert time.monotonic() < deadline and run.poll() is None
+        time.sleep(0.01)
+    os.killpg(run.pid, signal.SIGINT)
+    _, said = run.communicate(timeout=20)
+    assert run.returncode == 130 and "Traceback" not in said
+    assert not list(out.glob("rooms/.*"))
+
+
 def test_rooms_are_called_by_what_differs_between_their_paths(tmp_path: Path) -> None:
     """By folders where all files have one name, else by files; a lone one by its own."""
     paths = [tmp_path / p for p in ("h/a/campaign.toml", "h/b/c/campaign.toml", "h/d.toml")]

@@ -24,11 +24,7 @@ from roomfit.materials.priors import (
     prior_logits,
 )
 from roomfit.settings import Settings
-from roomfit.uncertainty.posterior import (
-    AbsorptionPosterior,
-    FittedPair,
-    plain_logit_covariance,
-)
+from roomfit.uncertainty import posterior
 
 if TYPE_CHECKING:
     from roomfit.base.table import Table
@@ -385,7 +381,7 @@ def logit_covariance(
     """
     names = [k.name for k in priors]
     leaders = [priors[names.index(k.tied_to or k.name)] for k in priors]
-    return plain_logit_covariance(
+    return posterior.plain_logit_covariance(
         np.stack([b.logit_covariance for b in estimates]),
         np.stack([b.absorption for b in estimates], axis=1),
         np.array([k.lower for k in leaders]),
@@ -424,7 +420,7 @@ def absorption_records(
     return Table("", columns, rows, form=".5f")
 
 
-def absorption_posterior(answer: Result) -> AbsorptionPosterior:
+def absorption_posterior(answer: Result) -> posterior.AbsorptionPosterior:
     """Return the absorption of an answer with its posterior, as predictions and designs take it.
 
     Objects are the last of its materials.
@@ -451,7 +447,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     mean, law = plain_logit_law(priors)
     is_shared = any(k.product is not None or k.tied_to is not None for k in priors)
     draws = [b.draws for b in estimates if b.draws is not None]
-    return AbsorptionPosterior(
+    return posterior.AbsorptionPosterior(
         answer.scene.room.materials,
         answer.bands,
         value,
@@ -484,15 +480,17 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
 
 def fitted_pair(
     place: tuple[str, str, str, float], table: Mapping[str, Sequence[Any]], bands: Bands
-) -> FittedPair:
+) -> posterior.FittedPair:
     """Return a fitted pair from its names, distance, and (measured, predicted) by parameter."""
     unknown = np.full((2, len(bands)), np.nan)
     rows = np.array([table.get(name, unknown) for name in VALUE_NAMES], dtype=np.float64)
-    return FittedPair(*place, rows[:, 0], rows[:, 1])
+    return posterior.FittedPair(*place, rows[:, 0], rows[:, 1])
 
 
 def result_doubts(
-    absorption: AbsorptionPosterior, others: Iterable[Finding] = (), what: str = "prediction"
+    absorption: posterior.AbsorptionPosterior,
+    others: Iterable[Finding] = (),
+    what: str = "prediction",
 ) -> tuple[Finding, ...]:
     """Return what doubts the result that an absorption comes from, to stand in what rests on it.
 

@@ -286,7 +286,7 @@ def test_a_recording_that_has_the_sweep_and_its_decay_needs_no_silence(tmp_path,
 
 @pytest.mark.parametrize(
     ("begins", "ends", "words"),
-    [(3000, RATE_HZ, "began after the excitation"), (-9000, -3000, "ended before the excitation")],
+    [(3000, RATE_HZ, "began after the excitation"), (-9000, -3000, "ends before the decay")],
 )
 def test_a_recording_without_all_of_the_sweep_is_refused(tmp_path, begins, ends, words):
     played = sweep()

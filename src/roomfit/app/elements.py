@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
@@ -123,12 +124,13 @@ def field(
     **more: Any,
 ) -> Any:
     """Draw a field for a key of a table: a choice, a truth value, a text, or else a number."""
+    value = table.get(key)
+    is_number = options is None and not isinstance(value, bool | str)
 
     def changed(event: Any) -> Any:
-        table[key] = event.value
+        table[key] = typed(event.value) if is_number else event.value
         return then()
 
-    value = table.get(key)
     made: Any
     if isinstance(value, bool):
         made = ui.checkbox(label, value=value, on_change=changed)
@@ -138,11 +140,26 @@ def field(
             options = dict(options) if isinstance(options, Mapping) else list(options)
             made = ui.select(options, multiple=isinstance(value, list), **more)
         else:
-            made = (ui.input if isinstance(value, str) else ui.number)(**more)
+            # a browser's own field for numbers takes 5,42 for 542 where its language has a point
+            checks = {"a number, as 5.42 or 5,42": lambda x: not isinstance(typed(x), str)}
+            made = ui.input(validation=checks if is_number else None, **more)
+            made.props("inputmode=decimal" if is_number else "")
         made.props("outlined dense").style(style)
     if spoken:
         made.props["aria-label"] = spoken
     return made
+
+
+def typed(value: Any) -> Any:
+    """Return what was typed as a number, its decimals after a comma or a point; None of nothing.
+
+    A text that is no number stays one, which whoever takes it refuses.
+    """
+    if not isinstance(value, str):
+        return value
+    text = value.strip().replace("\N{MINUS SIGN}", "-").replace(",", ".")
+    is_number = re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    return float(text) if is_number else value.strip() or None
 
 
 def on_entered(made: Element, then: Then) -> None:

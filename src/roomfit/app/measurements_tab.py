@@ -101,7 +101,7 @@ class MeasurementsTab(elements.Tab):
         self.naming: dict[str, Any] = {"template": ""}
         self.template = ""  # of the recordings' names, as the campaign has it
         self.positions: list[dict[str, Any]] = []  # as the campaign has them
-        self.fields: dict[tuple[str, str], list[ui.number]] = {}  # x, y, z by kind and name
+        self.fields: dict[tuple[str, str], list[ui.input]] = {}  # x, y, z by kind and name
         with self.place:
             with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
                 self._draw_files()
@@ -166,7 +166,7 @@ class MeasurementsTab(elements.Tab):
 
     async def type_position(self, kind: str, name: str) -> None:
         """Put a source or a receiver where its three fields say, once all are filled."""
-        values = [one.value for one in self.fields[kind, name]]
+        values = [elements.typed(one.value) for one in self.fields[kind, name]]
         point = self._position(kind, name)
         if None in values or point["position_m"] == values:
             return
@@ -239,7 +239,5 @@ class MeasurementsTab(elements.Tab):
                     row = self.fields[kind, name] = []
                     for word in "xyz":
                         spoken = f"{name} {word} in m"
-                        row.append(
-                            elements.field({}, word, word, spoken=spoken, step=0.01, format="%.3f")
-                        )
+                        row.append(elements.field({}, word, word, spoken=spoken))
                         elements.on_entered(row[-1], partial(self.type_position, kind, name))

@@ -157,8 +157,7 @@ def set_room(
 ) -> None:
     """Give a project its room, as `roomfit init` does; sources, receivers and recordings stay."""
     if shoebox is not None:
-        x, y, z = (float(length) for length in shoebox)
-        spec = RoomSpec(shoebox=(x, y, z), unit=unit)
+        spec = RoomSpec(shoebox=_three("the size of a box", shoebox), unit=unit)
     else:
         spec = RoomSpec(file=folder / (file or ""), unit=unit, space=space or None)
     drafted = draft_campaign(spec, {}, folder=folder)
@@ -186,6 +185,16 @@ def _of_room(new: Mapping[str, Any], old: Mapping[str, Any]) -> list[Edit]:
         Edit((), "states", None),
         *(_known_objects(stands) if _decay_times(old, alone=True) else ()),
     ]
+
+
+def _three(what: str, typed: Sequence[Any], where: str = "") -> tuple[float, float, float]:
+    """Return three lengths in m that somebody has typed."""
+    if len(typed) != 3 or not all(isinstance(x, float | int) and abs(x) < 1e6 for x in typed):
+        what, found = f"{what} is three numbers", str(list(typed))[:80]
+        hint = "measure in m, and type it as 5.42 or 5,42"
+        raise InputError(what, where=where, found=found, needed="x, y, z in m", hint=hint)
+    x, y, z = (round(float(x), 4) for x in typed)
+    return x, y, z
 
 
 def set_surface_material(folder: Path, surface: str, material: str) -> None:
@@ -216,11 +225,7 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
     if position_m is None:
         edit(folder, Edit((kind,), name, None))
         return
-    if len(position_m) != 3 or not all(abs(float(x)) < 1e6 for x in position_m):
-        what, where, found = "a position is three numbers", f"{kind}.{name}", str(list(position_m))
-        hint = "measure from the origin of the room file, in m"
-        raise InputError(what, where=where, found=found[:80], needed="x, y, z in m", hint=hint)
-    place = tuple(round(float(x), 4) for x in position_m)
+    place = _three("a position", position_m, f"{kind}.{name}")
     edit(folder, Edit((kind, name.strip()), "position", place))
 
 

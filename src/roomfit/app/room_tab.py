@@ -218,7 +218,7 @@ class RoomStart:
         lengths: dict[str, Any] = dict(_LENGTHS_M)
         with ui.element("div").classes("bar"):
             for name in lengths:
-                elements.field(lengths, name, name, style="width: 8rem", min=0.1, step=0.1)
+                elements.field(lengths, name, name, style="width: 8rem")
             box = ui.button(
                 "Use this box",
                 on_click=lambda: self._use(shoebox=[own or 0.0 for own in lengths.values()]),

@@ -60,13 +60,13 @@ def room_view(folder: Path) -> dict[str, Any]:
     """
     with project.filled_campaign(folder) as campaign:
         mesh, findings = read_mesh(campaign.room)
-        faults, materials = [], campaign.room.materials
+        faults = list[dict[str, Any]]()
         try:
             check = check_campaign(campaign)
         except InputError as error:  # materials of the campaign and of the room disagree
-            faults, materials = [finding_of_error(error)], {}
+            faults = [finding_of_error(error)]
             check = check_mesh(mesh, {}, findings)
-    room, areas_m2 = _any_room(mesh, materials), triangle_areas_m2(mesh)
+    room, areas_m2 = _any_room(mesh, campaign.room.materials), triangle_areas_m2(mesh)
     by_surface_m2 = np.bincount(mesh.triangle_surface, areas_m2, len(mesh.surfaces))
     priors = {name: table.prior for name, table in campaign.materials.items()}
     points = {"sources": campaign.sources, "receivers": campaign.receivers}

@@ -250,10 +250,9 @@ class WhatIfTab(Tab):
                 heading("Targets, as lines in the pictures")
                 with ui.element("div").classes("bar"):
                     for name in parameters:
-                        field(
-                            self.targets, name, LABELS[name], style="width: 8rem", then=self.draw,
-                            step=0.1,
-                        ).props("clearable")  # fmt: skip
+                        label, wide = LABELS[name], "width: 8rem"
+                        made = field(self.targets, name, label, style=wide, then=self.draw)
+                        made.props("clearable")
         self._draw_sliders()
 
     def _draw_sliders(self) -> None:
@@ -313,7 +312,7 @@ class WhatIfTab(Tab):
             picture.set_visibility(name in view["mean"])
             if name in view["mean"]:
                 limits = [x for x in self.room["limits"] if x["parameter"] == name]
-                if self.targets.get(name) is not None:
+                if isinstance(self.targets.get(name), float | int):
                     limits.append({"value": self.targets[name], "bands_hz": bands_hz})
                 picture.set_content(chart_svg(view, name, bands_hz, limits))
         self._draw_pairs()

@@ -17,7 +17,6 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
-from itertools import islice
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -28,9 +27,6 @@ from roomfit.base.forks import end_with_parent, interrupts_deferred
 _LOG, _NOTICE = logging.getLogger("roomfit"), 25
 
 Task = Callable[[], object]
-# In the hands of the scheduler at once, for each thread of its workers: what waits costs it memory,
-# and so many keep a thread busy until others are handed on.
-TASKS_A_THREAD = 4
 _CONNECTING_S = 20
 # A task that has taken so many workers with it is not given to another.
 _MOST_DEATHS = 3
@@ -135,31 +131,22 @@ def on_cluster(
 
 
 def _completed(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
-    """Yield the number and the end of each task as it ends.
+    """Yield the number and the end of each task as it ends; those that wait end with the iterator.
 
-    Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
-    thread of the workers are submitted and not yet yielded. When the iterator is closed, those that
-    wait are dropped. Dask blames a worker's death on every task that was given to it, those that
-    only waited there included: a task given up for it is tried once more.
+    Dask blames a worker's death on every task that was given to it, those that only waited there
+    included: a task given up for it is tried once more.
     """
-    waiting, again = enumerate(tasks), set[int]()
-    running: dict[Any, tuple[int, Task]] = {}
+    running = {client.submit(task, pure=False): (n, task, False) for n, task in enumerate(tasks)}
+    ends = _distributed().as_completed([*running], loop=client.loop)
     try:
-        while True:
-            n_threads = max(1, sum(client.nthreads().values()))
-            for number, task in islice(waiting, max(0, TASKS_A_THREAD * n_threads - len(running))):
-                running[client.submit(task, pure=False)] = number, task
-            if not running:
-                return
-            with client.as_current():
-                done, _ = _distributed().wait([*running], return_when="FIRST_COMPLETED")
-            for future in done:
-                number, task = running.pop(future)
-                if _died(future) and number not in again:
-                    again.add(number)
-                    running[client.submit(task, pure=False)] = number, task
-                else:
-                    yield number, _end_of(future)
+        for future in ends:
+            number, task, is_second = running.pop(future)
+            if _died(future) and not is_second:
+                again = client.submit(task, pure=False)
+                running[again] = number, task, True
+                ends.add(again)
+            else:
+                yield number, _end_of(future)
     except (CancelledError, OSError) as error:  # also of dask itself, when its scheduler is gone
         what = "the connection to the scheduler is lost"
         hint = "run the same command again: what is done is not done again"

@@ -12,7 +12,8 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -27,7 +28,12 @@ from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, Stor
 from roomfit.base.kernels import keep_one_blas_thread
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, written
 from roomfit.base.typing import Progress
-from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
+from roomfit.base.whole_files import (
+    make_folder,
+    sole_writer,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.batch.cluster import in_processes, on_cluster
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
@@ -168,8 +174,9 @@ def identify_rooms(
         partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
     ]
     elsewhere: set[str] = set()
+    ends = _ends(jobs, carry_out)
     try:
-        for n_done, (number, (status, message)) in enumerate(_ends(jobs, carry_out), start=1):
+        for n_done, (number, (status, message)) in enumerate(ends, start=1):
             _LOG.info("%s: %s", missing[number].name, status)
             address = missing[number].address
             record = out / FAILURES / f"{address}.json"
@@ -182,6 +189,12 @@ def identify_rooms(
                 write_json_atomically(record, {"status": status, "message": message})
             if progress is not None:
                 progress(n_done / len(jobs))
+    except KeyboardInterrupt:
+        ends.close()
+        for task in missing:
+            with suppress(FolderInUseError):
+                _clear(out / ROOMS / task.address)
+        raise
     finally:
         rows = tuple(
             RoomRow(task.name, "elsewhere", message=_ELSEWHERE)
@@ -191,6 +204,11 @@ def identify_rooms(
         )
         _write_table(out, rows)
     return rows
+
+
+@sole_writer
+def _clear(out: Path) -> None:
+    """Remove what a process that was ended has left beside a folder, as every writer does."""
 
 
 def identify_room(
@@ -220,7 +238,7 @@ def identify_room(
 
 def _ends(
     jobs: Sequence[Callable[..., tuple[Status, str]]], carry_out: Pool | None
-) -> Iterator[tuple[int, tuple[Status, str]]]:
+) -> Generator[tuple[int, tuple[Status, str]], None, None]:
     """Do all jobs, here or in other processes; yield the number and the end of each."""
     if carry_out is None:
         yield from ((number, job()) for number, job in enumerate(jobs))

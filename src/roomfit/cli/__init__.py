@@ -32,37 +32,43 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, by default with the arguments of this process; leave with a code."""
     # searching for objects that refer to each other took a twentieth of the processor's time
     gc.set_threshold(20_000, 20, 50)
+    noted, code = list[int](), None
     try:
-        with _ended_like_an_interrupt():
+        with _ended_like_an_interrupt(noted):
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
             with _shown(options), _with_threads(options):
                 code = _carried_out(options)
             sys.stdout.flush()
-        if code:
-            sys.exit(code)
-    except RoomfitError as error:
+        if noted:  # what drew or called back has swallowed it
+            raise KeyboardInterrupt
+    except BaseException as error:
+        if not (noted or isinstance(error, KeyboardInterrupt)):
+            if (code := _code_of(error)) is None:
+                raise
+        else:  # whatever it has become on its way
+            warn("interrupted; nothing half-written was left behind")
+            # Python ends by a signal after an interrupt that fell into exec (a dataclass that was
+            # being made), though it has been caught; the next exec forgets it
+            exec("")
+            code = 128 + noted[0] if noted else _INTERRUPTED
+    if code:
+        sys.exit(code)
+
+
+def _code_of(error: BaseException) -> int | None:
+    """Return with which code an error ends the program, which it says; None for a fault."""
+    if isinstance(error, RoomfitError):
         warn(error)
-        sys.exit(2)
-    except (KeyboardInterrupt, SystemError) as error:
-        # what falls into a compiled kernel arrives as the cause of a SystemError
-        interrupt = error.__cause__ if isinstance(error, SystemError) else error
-        if not isinstance(interrupt, KeyboardInterrupt):
-            raise
-        warn("interrupted; nothing half-written was left behind")
-        # Python ends by a signal after an interrupt that fell into exec (a dataclass that was being
-        # made), though it has been caught; the next exec forgets it
-        exec("")
-        sys.exit(128 + interrupt.args[0] if interrupt.args else _INTERRUPTED)
-    except BrokenPipeError:
+        return 2
+    if isinstance(error, BrokenPipeError):
         drop_output(sys.stdout)  # the reader of the output (head, less) went first
-        sys.exit(1)
-    except OSError as error:
-        if error.errno not in _FULL:
-            raise
-        drop_output(sys.stdout)
-        text = "the disk is full, or the output cannot grow"
-        warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
-        sys.exit(2)
+        return 1
+    if not isinstance(error, OSError) or error.errno not in _FULL:
+        return None
+    drop_output(sys.stdout)
+    text = "the disk is full, or the output cannot grow"
+    warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
+    return 2
 
 
 def _carried_out(options: argparse.Namespace) -> int:
@@ -130,8 +136,12 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 @contextmanager
-def _ended_like_an_interrupt() -> Iterator[None]:
-    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does, and none of them get lost."""
+def _ended_like_an_interrupt(noted: list[int]) -> Iterator[None]:
+    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does, and none of them get lost.
+
+    Each is noted: what calls back, as matplotlib does, swallows them or makes other errors of them.
+    """
+    hook = sys.unraisablehook
     main, ended, before = threading.main_thread(), threading.Event(), {}
 
     def insist(number: int) -> None:
@@ -141,6 +151,7 @@ def _ended_like_an_interrupt() -> Iterator[None]:
                 signal.pthread_kill(main.ident or 0, number)
 
     def end(number: int, _: object) -> None:
+        noted.append(number)
         if hasattr(signal, "pthread_kill"):
             threading.Thread(target=insist, args=(number,), daemon=True).start()
         raise KeyboardInterrupt(number)
@@ -152,9 +163,11 @@ def _ended_like_an_interrupt() -> Iterator[None]:
             usual = (signal.SIG_DFL, signal.default_int_handler)
             if number is not None and signal.getsignal(number) in usual:
                 before[number] = signal.signal(number, end)
+    sys.unraisablehook = lambda lost: None if noted else hook(lost)
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         ended.set()
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -28,24 +28,18 @@ from roomfit.pressures.state import State
 from roomfit.room.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solver import BandFit, fit_band
-from roomfit.uncertainty.gaussian import (
-    BandEstimate,
-    FittedBand,
-    Refine,
-    SharedErrors,
-    band_estimate,
-)
+from roomfit.uncertainty import gaussian
 from roomfit.uncertainty.intervals import with_both_intervals
 
 
 def coherent_answers(
-    fit: CoherentFit, settings: Settings, refine: Refine, progress: Progress | None
+    fit: CoherentFit, settings: Settings, refine: gaussian.Refine, progress: Progress | None
 ) -> BandFits:
     """Return each band's estimate by partly coherent image sources where they explain it."""
     state, n = fit.state, len(fit.fits)
     by_energies = energy_estimates(fit)
 
-    def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
+    def answers(b: int) -> tuple[gaussian.BandEstimate | None, gaussian.BandEstimate | None]:
         pressures, energies = coherent_estimate(fit, b), by_energies(b)
         return (
             None if pressures is None else refine(pressures),
@@ -56,7 +50,7 @@ def coherent_answers(
     chosen = decided(fit, energy, systematics.inflated_by_adjacent_bands(coherent, state.priors))
 
     # where no response has data, room parameters or the prior
-    def rest(b: int) -> BandEstimate:
+    def rest(b: int) -> gaussian.BandEstimate:
         alone = without_responses(state.others[b], state.priors, b, state.start)
         done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
         return refine(fitted_band(b, alone, state.priors, settings, done))
@@ -73,14 +67,14 @@ def coherent_answers(
 
 def decided(
     fit: CoherentFit,
-    energy: Sequence[BandEstimate | None],
-    coherent: Sequence[BandEstimate | None],
-) -> tuple[BandEstimate | None, ...]:
+    energy: Sequence[gaussian.BandEstimate | None],
+    coherent: Sequence[gaussian.BandEstimate | None],
+) -> tuple[gaussian.BandEstimate | None, ...]:
     """Return each band's estimate by the model of larger evidence, None without data.
 
     With both intervals where evidence cannot decide.
     """
-    chosen: list[BandEstimate | None] = []
+    chosen: list[gaussian.BandEstimate | None] = []
     for plain, added, (a, b) in zip(energy, coherent, fit.log_evidences, strict=True):
         if added is None or plain is None or fit.state.settings.model == "coherent":
             chosen.append(plain if added is None else added)
@@ -90,7 +84,7 @@ def decided(
     return tuple(chosen)
 
 
-def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
+def coherent_estimate(fit: CoherentFit, b: int) -> gaussian.FittedBand | None:
     """Return a band's coherent estimate, common-mode errors included in the covariance.
 
     Without fit and problem where energies explain the band better: its intervals are of no use.
@@ -102,14 +96,18 @@ def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
     noise = np.concatenate([o.noise for o in energies.observations])
     lost = (found.fit.expected[: noise.size] - noise) * lost_coherence(band, found.fit)
     effect = _effect(state, b, objective, found.fit, energies, {"lost coherence": lost[:, None]})
-    own = band_estimate(objective.parameters, found.fit, "coherent", effect)
+    own = gaussian.band_estimate(objective.parameters, found.fit, "coherent", effect)
     own = replace(own, window_decays_s=_window_decays_s(energies, found.fit))
     ahead = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
     beaten = state.settings.model != "coherent" and ahead >= UNDECIDED
-    return FittedBand(own) if beaten else FittedBand(own, objective, found.fit, effect.steps)
+    return (
+        gaussian.FittedBand(own)
+        if beaten
+        else gaussian.FittedBand(own, objective, found.fit, effect.steps)
+    )
 
 
-def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
+def energy_estimates(fit: CoherentFit) -> Callable[[int], gaussian.FittedBand | None]:
     """Return what says of a band by energies alone, in the windows whose noise is known to suit.
 
     None where the partly coherent model decides, or where there are no data.
@@ -124,7 +122,7 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
     if unknown is not None and any(wanted):
         bases = row_bases(unknown, state.scene, state.paths, state.binned)
 
-    def estimate(number: int) -> FittedBand | None:
+    def estimate(number: int) -> gaussian.FittedBand | None:
         if not wanted[number]:
             return None
         made = energy_term(
@@ -150,8 +148,8 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=state.settings.max_rounds)
         effect = _effect(state, number, objective, own_fit, windows, {})
-        answer = band_estimate(objective.parameters, own_fit, "energy", effect)
-        return FittedBand(answer, objective, own_fit, effect.steps)
+        answer = gaussian.band_estimate(objective.parameters, own_fit, "energy", effect)
+        return gaussian.FittedBand(answer, objective, own_fit, effect.steps)
 
     return estimate
 
@@ -178,7 +176,7 @@ def _effect(
     fit: BandFit,
     windows: EnergyTerm,
     more: Mapping[str, FloatArray],
-) -> SharedErrors:
+) -> gaussian.SharedErrors:
     """Return what errors that the windows of a band share do to its answer."""
     absorption = physical_values(objective.parameters, fit.vector)[0]["absorption"]
     of = state.scene.air, state.bands, windows, state.paths, absorption, state.scattering

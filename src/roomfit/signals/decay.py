@@ -283,15 +283,14 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     if lasting or _climbs(loud):
         what = "this looks like a recording of the excitation, not like an impulse response"
         found = f"sound that lasts {length_s:.2f} s without decaying"
-        needed = "the response after deconvolution: one onset, then a decay"
         hint = 'name the sweep as it was played: excitation = "sweep.wav" under [defaults]'
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
-    again_s = _begins_again_s(pressure, response.sampling_rate_hz)
-    if again_s is not None:
+    elif (again_s := _begins_again_s(pressure, response.sampling_rate_hz)) is not None:
         what, found = "the file holds a second sound", f"one {again_s:.2f} s after its beginning"
-        needed = "the response after one excitation: one onset, then a decay"
         hint = "cut the file before the second sound, or behind a click before the response"
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+    else:
+        return
+    needed = "the response after deconvolution: one onset, then a decay"
+    raise InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def _begins_again_s(pressure: FloatArray, rate_hz: float) -> float | None:

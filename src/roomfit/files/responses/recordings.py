@@ -183,7 +183,7 @@ def deconvolved(
         refuse_useless(excitation)
     low_hz, high_hz = band_hz or band_of(excitation.pressure, rate_hz)
     with located(str(path)):
-        first, n_kept = _kept(recording.pressure, excitation.pressure, rate_hz)
+        first, n_kept = _kept(recording.pressure, excitation.pressure)
         response = regularised_quotient(
             recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
         )
@@ -206,7 +206,7 @@ def deconvolved(
     return Recording(pressure, rate_hz, recording.delay_s + (begin - n_lead) / rate_hz, findings)
 
 
-def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> tuple[int, int]:
+def _kept(recorded: FloatArray, played: FloatArray) -> tuple[int, int]:
     """Return between which lags the response contains all frequencies, the last not included."""
     size = np.abs(played - np.median(played))
     loud = np.flatnonzero(size > _SILENT * size.max())
@@ -216,11 +216,6 @@ def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> tuple[int
         found = f"{len(recorded)} and {len(played)} samples"
         hint = "cut the recording behind the decay, or play a shorter sweep"
         raise InputError(what, found=found, needed=f"at most {_MOST_SAMPLES}", hint=hint)
-    if len(recorded) < end - silent + _LEAST_DECAY_S * rate_hz:
-        what = "the recording ends before the decay after the excitation"
-        needed = f"the {(end - silent) / rate_hz:.4g} s of the excitation, and the decay after it"
-        found, hint = f"{len(recorded) / rate_hz:.4g} s", "record until the room is silent"
-        raise InputError(what, found=found, needed=needed, hint=hint)
     return -silent, len(recorded) - end
 
 
@@ -233,9 +228,11 @@ def _begin(response: FloatArray, first: int, n_kept: int, n_played: int, rate_hz
     size = np.abs(response[lags])
     largest, peak = float(size.max()), int(lags[np.argmax(size)])
     is_clear = largest > _CLEAR * float(np.sqrt(np.mean(size**2)))
-    if is_clear and not first - _LEAD_S * rate_hz <= peak < n_kept:
-        is_late = peak < first
-        what = f"the recording {'began after' if is_late else 'ended before'} the excitation"
+    is_short = n_kept - first < _LEAST_DECAY_S * rate_hz
+    if is_short or (is_clear and not first - _LEAD_S * rate_hz <= peak < n_kept):
+        what = "the recording ends before the decay after the excitation"
+        if peak < first:
+            what = "the recording began after the excitation"
         found = f"its response {peak / rate_hz:.3g} s after the start of the excitation's file"
         needed = f"{first / rate_hz:.3g} to {n_kept / rate_hz:.3g} s, where no frequency is missing"
         hint = "record from before the sweep until the room is silent after it"
