@@ -230,21 +230,12 @@ def _check_alike(client: Any, scheduler: str) -> None:
             needed="one worker or more",
             hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
         ) from None
-    try:
-        found = client.run(about_this_process)
-    except Exception as error:
-        raise InputError(
-            "the workers cannot load roomfit",
-            where=scheduler,
-            found=f"{type(error).__name__}: {error}"[:200],
-            needed="the same roomfit on every worker as here",
-            hint="install it in the workers' environment",
-        ) from error
     for address, own in client.scheduler_info(n_workers=-1)["workers"].items():
         hint = "start it with more: dask worker ADDRESS --memory-limit 2GB"
         check_memory(int(own.get("memory_limit") or 0), str(address), hint)
     here = about_this_process()
-    for address, there in found.items():
+    for address, own in client.run(about_this_process, on_error="return").items():
+        there = own if isinstance(own, dict) else {}  # else it cannot load roomfit
         other = [name for name in here if there.get(name) != here[name]]
         if other:
             raise InputError(

@@ -23,17 +23,12 @@ from urllib.parse import quote
 import numba
 import numpy as np
 
+from roomfit.base import whole_files
 from roomfit.base.door import complete
 from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.base.kernels import keep_one_blas_thread
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, written
 from roomfit.base.typing import Progress
-from roomfit.base.whole_files import (
-    make_folder,
-    sole_writer,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.batch.cluster import in_processes, on_cluster
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
@@ -169,7 +164,7 @@ def identify_rooms(
     # of one pair at least; the room itself knows of how many
     check_disk_room(out, len(missing), len(missing))
     for name in (ROOMS, FAILURES):
-        make_folder(out / name)
+        whole_files.make_folder(out / name)
     jobs = [
         partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
     ]
@@ -186,7 +181,7 @@ def identify_rooms(
             elif status == "elsewhere":
                 elsewhere.add(address)
             else:
-                write_json_atomically(record, {"status": status, "message": message})
+                whole_files.write_json_atomically(record, {"status": status, "message": message})
             if progress is not None:
                 progress(n_done / len(jobs))
     except KeyboardInterrupt:
@@ -206,7 +201,7 @@ def identify_rooms(
     return rows
 
 
-@sole_writer
+@whole_files.sole_writer
 def _clear(out: Path) -> None:
     """Remove what a process that was ended has left beside a folder, as every writer does."""
 
@@ -326,8 +321,8 @@ def _write_table(out: Path, rows: Sequence[RoomRow]) -> None:
         numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
         findings, message = " ".join(row.findings), " ".join(row.message.split())
         records.append((row.name, row.status, report, *numbers, findings, row.seconds, message))
-    write_text_atomically(out / "rooms.csv", csv_of(Table("", _COLUMNS, records)))
-    write_text_atomically(out / "rooms.html", page(described(rows)))
+    whole_files.write_text_atomically(out / "rooms.csv", csv_of(Table("", _COLUMNS, records)))
+    whole_files.write_text_atomically(out / "rooms.html", page(described(rows)))
 
 
 def described(rows: Sequence[RoomRow]) -> Blocks:

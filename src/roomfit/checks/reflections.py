@@ -24,16 +24,7 @@ from roomfit.fit.paths import TracedPaths
 from roomfit.model.binned import rows_at
 from roomfit.model.observation import has_data_in_band, timing_sd_s
 from roomfit.model.weighing import EnergyRows, first_rows, weigh
-from roomfit.signals.filters import (
-    SpreadingKernel,
-    energy_bandwidth_hz,
-    energy_share,
-    spreading_kernel,
-    spreading_matrix,
-    spreading_reach_s,
-    statistical_bandwidth_hz,
-    window_energies,
-)
+from roomfit.signals import filters
 from roomfit.signals.measurement import MeasuredPair
 from roomfit.tracing.paths import Paths, paths_of_pairs
 
@@ -104,7 +95,7 @@ def isolated_reflections(
     `LEAST_SHARE` of their energy if the wall absorbed nothing, 10 dB clear of the noise. The direct
     sound of the same response must stand alone, too.
     """
-    kernel = spreading_kernel(measured.bands)
+    kernel = filters.spreading_kernel(measured.bands)
     found: list[IsolatedReflection] = []
     paths, of_pair = traced.paths, paths_of_pairs(traced.paths)
     for m in measured.responses:
@@ -124,13 +115,13 @@ def _isolated(
     m: MeasuredPair,
     absorption: FloatArray,
     band: int,
-    kernel: SpreadingKernel,
+    kernel: filters.SpreadingKernel,
     own: IntArray,
 ) -> list[IsolatedReflection]:
     """Return those of a response's paths that stand alone in a band, the direct sound with them."""
     paths, room = traced.paths, measured.scene.room
     one = Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1])
-    bandwidth_hz = float(statistical_bandwidth_hz(one)[0])
+    bandwidth_hz = float(filters.statistical_bandwidth_hz(one)[0])
     half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(measured.scene, m)
     arrival_s = paths.length_m[own] / speed_of_sound_m_s(measured.scene.air)
     windows = arrival_s[:, None] + np.array([-half_s, half_s])
@@ -143,7 +134,7 @@ def _isolated(
     attenuation = float(attenuation_per_m(measured.scene.air, measured.bands)[band])
     arriving = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
     weight = _weights(paths, own, arriving) / np.maximum(kept, 1e-6)
-    share = float(energy_share(kernel, band, [0.0], [-half_s, half_s])[0, 0])
+    share = float(filters.energy_share(kernel, band, [0.0], [-half_s, half_s])[0, 0])
     hard = share * weight * np.exp(-attenuation * paths.length_m[own])
 
     edges, at = np.unique(windows, return_inverse=True)
@@ -155,14 +146,16 @@ def _isolated(
 
     bins_s = traced.binned.edges_s
     centres_s = 0.5 * (bins_s[1:] + bins_s[:-1])
-    n = int(np.searchsorted(centres_s, edges[-1] + spreading_reach_s(kernel, band)))
+    n = int(np.searchsorted(centres_s, edges[-1] + filters.spreading_reach_s(kernel, band)))
     alpha, air = absorption[:, band : band + 1], np.array([attenuation])
     energy = weigh(first_rows(arriving, n), alpha, air)[0]
-    spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
+    spreading = filters.spreading_matrix(kernel, band, centres_s[: energy.size], edges)
     others = np.maximum(summed(spreading @ energy) - back * hard, 0.0)
-    recorded = summed(window_energies(one, m.response, edges)[0])
+    recorded = summed(filters.window_energies(one, m.response, edges)[0])
     rate_hz = m.response.sampling_rate_hz
-    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(one)[0]))
+    per_second = (
+        m.noise.floor[band] * rate_hz**2 / (2.0 * float(filters.energy_bandwidth_hz(one)[0]))
+    )
     noise = per_second * 2.0 * half_s
 
     gain = (recorded[0] - noise) / (hard[0] + others[0])

@@ -19,20 +19,11 @@ from roomfit.room.mesh import refuse
 from roomfit.room.scene import NEAREST_PAIR_M, Scene, distances_m, pair_names, position_findings
 from roomfit.settings import DECAY_RANGE_DB
 from roomfit.signals import decay
+from roomfit.signals import response as signal
 from roomfit.signals.filters import check_sampling_rate, filter_pressure
 from roomfit.signals.iso3382 import MeasuredValues, joined_values
 from roomfit.signals.measurement import MeasuredPair, Measurement, Use
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
-from roomfit.signals.response import (
-    SERIOUS_M,
-    ImpulseResponse,
-    check_travel,
-    clipping_findings,
-    compare_onset,
-    find_onset,
-    same_recordings,
-    time_zero_from_direct,
-)
 
 # A window is fitted down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
@@ -59,7 +50,7 @@ def counted_once(
     at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
     order = sorted(measurements, key=lambda m: m.use != "fit")
     copies = []
-    for i, j in same_recordings([np.asarray(m.samples) for m in order]):
+    for i, j in signal.same_recordings([np.asarray(m.samples) for m in order]):
         one, other = order[i], order[j]
         apart_m = max(
             float(np.linalg.norm(at_m[a] - at_m[b]))
@@ -160,16 +151,16 @@ def recording_findings(scene: Scene, measured: Sequence[MeasuredPair]) -> tuple[
         name, pairs = f"{m.source} to {m.receiver} ({m.name})", [(m.source, m.receiver)]
         own = list(m.findings)
         if not own:  # arrays: no reader has looked at them
-            own += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
+            own += signal.clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
         read += own
         own = [*decay.range_findings(p.parameters, name)]
         if m.time_zero != "direct":
-            onset_s, stated = find_onset(p.response, m.where), m.time_zero == "emission"
+            onset_s, stated = signal.find_onset(p.response, m.where), m.time_zero == "emission"
             ends_m = at_m[0][m.source], at_m[1][m.receiver]
             # round a corner the first sound comes late, as it should
             if onset_s <= p.direct_s or is_in_sight(scene.room.mesh, *ends_m):
-                both = onset_s, p.direct_s
-                own = [*compare_onset(*both, speed_m_s, name, rate_hz, is_stated=stated), *own]
+                about = onset_s, p.direct_s, speed_m_s, name, rate_hz
+                own = [*signal.compare_onset(*about, is_stated=stated), *own]
         evaluated += [replace(f, about=replace(f.about, files=[m.where], pairs=pairs)) for f in own]
     return (*read, *evaluated)
 
@@ -201,10 +192,10 @@ def on_one_clock(
     for m, pair, direct_s, response in zip(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
     ):
-        check_travel(response, direct_s, m.where)
-        onset_s = find_onset(response, m.where)
+        signal.check_travel(response, direct_s, m.where)
+        onset_s = signal.find_onset(response, m.where)
         # the decay of a file with a wrong clock is what it is
-        start_s = onset_s if abs(onset_s - direct_s) * c > SERIOUS_M else direct_s
+        start_s = onset_s if abs(onset_s - direct_s) * c > signal.SERIOUS_M else direct_s
         noise = estimate_noise(bands, response, filter_pressure(bands, response), start_s)
         curve = decay.decay_curve(bands, response, start_s)
         parameters = decay.room_parameters(curve)
@@ -228,7 +219,7 @@ def fit_ends_s(noise: NoiseEstimate, curve: decay.DecayCurve, decay_range_db: fl
 
 def from_emission(
     measurements: Sequence[Measurement], travel_s: Sequence[float]
-) -> list[ImpulseResponse]:
+) -> list[signal.ImpulseResponse]:
     """Return the responses on a clock that counts from emission.
 
     ``direct``: the response's own onset is the direct sound. ``unknown``: one offset a source and
@@ -237,7 +228,7 @@ def from_emission(
     aligned = [
         m.response
         if m.time_zero == "emission"
-        else time_zero_from_direct(m.response, direct_s, m.where)
+        else signal.time_zero_from_direct(m.response, direct_s, m.where)
         for m, direct_s in zip(measurements, travel_s, strict=True)
     ]
     offsets: dict[tuple[str, str, str], list[float]] = {}

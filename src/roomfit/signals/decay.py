@@ -19,13 +19,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.base.typing import ParameterName as ParameterName
-from roomfit.signals.filters import (
-    check_sampling_rate,
-    filter_pressure,
-    frequency_response,
-    ringing_s,
-    statistical_bandwidth_hz,
-)
+from roomfit.signals import filters
 from roomfit.signals.noise import NoiseEstimate, block_length_s, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded, times_s
 
@@ -78,9 +72,9 @@ def decay_curve(
     """
     check_travel(response, onset_s)
     rate_hz = response.sampling_rate_hz
-    leads_s = _LEAD * ringing_s(bands)
+    leads_s = _LEAD * filters.ringing_s(bands)
     long = padded(response, float(leads_s.max()))
-    filtered = filter_pressure(bands, long)
+    filtered = filters.filter_pressure(bands, long)
     noise = estimate_noise(bands, long, filtered, onset_s)
 
     # boundaries between samples: each sample stands for half an interval on either side
@@ -145,7 +139,7 @@ def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
         for name in ("energy_left", "usable_end_s", "usable_db", "tail_time_constant_s")
     }
     time_s, onset_s, end_time_s = predicted.time_s, predicted.onset_s, float(predicted.time_s[-1])
-    for band, bandwidth_hz in enumerate(statistical_bandwidth_hz(predicted.bands).tolist()):
+    for band, bandwidth_hz in enumerate(filters.statistical_bandwidth_hz(predicted.bands).tolist()):
         own, end_s = predicted.energy_left[band], float(measured.usable_end_s[band])
         tau, usable_db = measured.tail_time_constant_s[band], measured.usable_db[band]
         if not (tau > 0.0 and onset_s < end_s < end_time_s and own[0] > 0.0):
@@ -565,10 +559,12 @@ def scaled_response(
     """
     ratios = float_array("ratios", ratio, (len(bands), len(time_s)), low=0.0)
     rate_hz, t, n = response.sampling_rate_hz, times_s(response), len(response.pressure)
-    check_sampling_rate(bands, rate_hz)
-    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bands).max() * rate_hz)), real=True)
+    filters.check_sampling_rate(bands, rate_hz)
+    length = fft.next_fast_len(
+        n + int(np.ceil(filters.ringing_s(bands).max() * rate_hz)), real=True
+    )
     frequencies = fft.rfftfreq(length, 1.0 / rate_hz)
-    magnitudes = frequency_response(bands, frequencies) ** 2
+    magnitudes = filters.frequency_response(bands, frequencies) ** 2
     magnitudes[0, frequencies <= bands.exact_centres_hz[0]] = 1.0
     magnitudes[-1, frequencies >= bands.exact_centres_hz[-1]] = 1.0
     spectrum = fft.rfft(response.pressure, length)

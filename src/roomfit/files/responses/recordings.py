@@ -129,9 +129,7 @@ _SILENT = 1e-3
 # the band, and cut off at once the ringing would leave a step.
 _LEAD_S = 0.02
 _LEAST_DECAY_S = 0.05
-# Of the peak, 20 dB; before it, where harmonic distortion is not yet; a peak over the rms of all
-# lags that is no noise's.
-_ONSET, _EARLIEST_S, _CLEAR = 0.1, 0.1, 10.0
+_EARLIEST_S, _CLEAR = 0.1, 10.0  # before a peak; a peak over the rms of all lags, no noise's
 _BANDS_PER_OCTAVE = 12
 _LOWEST_HZ = 10.0
 _BELOW_FULL = 10.0 ** (-15.0 / 10.0)
@@ -222,7 +220,7 @@ def _kept(recorded: FloatArray, played: FloatArray) -> tuple[int, int]:
 def _begin(response: FloatArray, first: int, n_kept: int, n_played: int, rate_hz: float) -> int:
     """Return the lag at which a response begins; refuse one at which frequencies are missing.
 
-    0, unless its peak is earlier: then what is within 20 dB of that, and at most 0.1 s before.
+    0, unless its peak is earlier: then 0.1 s before that, where harmonic distortion is not yet.
     """
     lags = np.arange(-n_played, len(response) - n_played)
     size = np.abs(response[lags])
@@ -230,15 +228,13 @@ def _begin(response: FloatArray, first: int, n_kept: int, n_played: int, rate_hz
     is_clear = largest > _CLEAR * float(np.sqrt(np.mean(size**2)))
     is_short = n_kept - first < _LEAST_DECAY_S * rate_hz
     if is_short or (is_clear and not first - _LEAD_S * rate_hz <= peak < n_kept):
-        what = "the recording ends before the decay after the excitation"
-        if peak < first:
-            what = "the recording began after the excitation"
+        late, early = "began after the excitation", "ends before the decay after the excitation"
+        what = f"the recording {late if peak < first else early}"
         found = f"its response {peak / rate_hz:.3g} s after the start of the excitation's file"
         needed = f"{first / rate_hz:.3g} to {n_kept / rate_hz:.3g} s, where no frequency is missing"
         hint = "record from before the sweep until the room is silent after it"
         raise InputError(what, found=found, needed=needed, hint=hint)
-    near = (lags >= peak - _EARLIEST_S * rate_hz) & (lags >= first)
-    return min(int(lags[np.argmax(near & (size >= _ONSET * largest))]), 0) if peak < 0 else 0
+    return 0 if peak >= 0 else max(peak - round(_EARLIEST_S * rate_hz), first)
 
 
 def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
