@@ -220,7 +220,7 @@ def test_what_if_shows_speech_limits_sounds_and_what_to_hang(
     time_drawn = page.get_by_role("img", name=re.compile("^T20 in s, mean"))
     assert "limits: 0.40" in str(time_drawn.get_attribute("aria-label"))
     assert page.locator("svg .limit").count() == 2
-    page.get_by_role("spinbutton", name="C80 in dB").fill("5")
+    page.get_by_label("C80 in dB").fill("5")
     page.get_by_role("img", name=re.compile("^C80.*limits: 5.00")).wait_for()
     before = str(index.get_attribute("aria-label"))
     page.get_by_label(re.compile("^Absorption of .* at 1 kHz")).press("End")

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import struct
+import tempfile
 import time
 import tomllib
 from collections.abc import Callable
@@ -16,6 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from roomfit.app import project, tasks, views
 from roomfit.app.jobs import Bench, Worker
@@ -50,6 +53,57 @@ def test_a_typed_box_is_a_campaign_that_the_command_line_reads(box: Path) -> Non
     assert view["traceable"] and view["volume_m3"] == pytest.approx(90.0)
     assert len(view["faces"]) == 12 and len(view["edges"]) == 12
     json.dumps(view, allow_nan=False)
+
+
+NAMES = st.sampled_from(["carpet", "walls", "floor", "ceiling", "west", "my wall", "a.b", "Ä"])
+PLACES = st.sampled_from([None, (1.0, 1.2, 1.3), (1.5, 1.1, 1.1)])
+EDITS = st.one_of(
+    st.tuples(st.just("box"), st.tuples(*[st.floats(2.0, 9.0)] * 3)),
+    st.tuples(st.just("surface"), st.integers(0, 5), NAMES),
+    st.tuples(st.just("prior"), st.integers(0, 5), st.sampled_from([None, "brick", "carpet"])),
+    st.tuples(st.just("place"), st.sampled_from(["sources", "receivers"]), NAMES, PLACES),
+    st.tuples(st.just("measured"), NAMES, NAMES),
+    st.tuples(st.just("bands"), st.sampled_from([500.0, 4000.0])),
+)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(EDITS, max_size=12))
+def test_whatever_the_page_has_written_it_reads(walk) -> None:
+    """After any edits, by the functions that the page calls: no fault that an edit has made."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        views.set_room(folder, shoebox=(6.0, 5.0, 3.0))
+        for kind, *own in walk:
+            view = views.room_view(folder)
+            if kind == "box":
+                views.set_room(folder, shoebox=own[0])
+            elif kind == "surface":
+                surface = view["surfaces"][own[0]]["name"]
+                project.set_surface_material(folder, surface, own[1])
+            elif kind == "prior":
+                material = view["materials"][own[0] % len(view["materials"])]["name"]
+                project.set_prior(folder, material, own[1])
+            elif kind == "place":
+                project.set_position(folder, *own)
+            elif kind == "measured":
+                project.name_measured(folder, *own)
+            else:
+                project.set_bands(folder, 125.0, own[0])
+            used = [m["name"] for m in views.room_view(folder)["materials"]]
+            project.forget_unused_materials(folder, used)
+            found = [
+                *views.room_view(folder)["findings"],
+                *views.recordings_view(folder)["findings"],
+            ]
+            assert [f for f in found if f["code"] == "input"] == []
+
+
+@pytest.mark.parametrize("typed", [("5,42", 4.0, 3.0), (None, 4.0, 3.0), (5.0, 4.0)])
+def test_lengths_that_are_no_numbers_are_refused(tmp_path: Path, typed) -> None:
+    with pytest.raises(InputError, match="three numbers"):
+        project.set_room(tmp_path, shoebox=typed)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["room.json", "room.usdz"])

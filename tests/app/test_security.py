@@ -414,6 +414,26 @@ def test_the_body_of_a_refused_request_is_not_waited_for(tmp_path: Path) -> None
         assert answer.startswith(b"HTTP/1.1 403")
 
 
+def test_an_upload_under_way_ends_with_the_workbench(tmp_path: Path) -> None:
+    """At once, without a traceback, and nothing of it is left."""
+    address = "127.0.0.1"
+    with (
+        running(tmp_path / "project") as server,
+        socket.create_connection((address, server.port), timeout=10) as own,
+    ):
+        head = f"PUT /{server.key}/upload/recordings/a.wav HTTP/1.1\r\n"
+        host = f"Host: 127.0.0.1:{server.port}\r\nContent-Length: 100000\r\n\r\n"
+        own.sendall((head + host).encode() + sound()[:1000])
+        end = time.monotonic() + 20.0
+        while not server.leftovers() and time.monotonic() < end:
+            time.sleep(0.02)
+        began = time.monotonic()
+        code, said = server.ended()
+        assert (code, said) == (130, "interrupted; nothing half-written was left behind\n")
+        assert time.monotonic() - began < 2.0  # of which the reader's process takes one
+    assert not server.leftovers()
+
+
 def test_what_has_begun_in_time_may_take_longer(tmp_path: Path) -> None:
     """A slow upload, what is asked next after a pause, and the connection of the page."""
     with running(tmp_path, limits="request_s=1") as server:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
@@ -19,7 +21,7 @@ from nicegui.page import page
 from roomfit.app import jobs, project, tasks, views
 from roomfit.app import page as own_page
 from roomfit.app.answer_tabs import IdentifyTab, ReportTab
-from roomfit.app.elements import Advice
+from roomfit.app.elements import Advice, typed
 from roomfit.app.measurements_tab import MeasurementsTab, MeasureTab
 from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
@@ -385,6 +387,15 @@ def test_a_finding_is_shown_by_its_points_and_a_surface_that_is_picked_with_its_
     walk(RoomTab, folder, way)
 
 
+@given(st.floats(-1e4, 1e4), st.sampled_from(".,"), st.sampled_from(["", " "]))
+def test_a_number_is_what_it_is_with_a_comma_and_with_a_point(number, mark, around) -> None:
+    """And what has both, or a unit, is none: 1.234,5 may be either."""
+    text = f"{around}{number:.4f}{around}".replace(".", mark)
+    assert typed(text) == round(number, 4)
+    assert typed(f"1,{text.strip()} m") == f"1,{text.strip()} m"
+    assert (typed(""), typed(number), typed("1.234,5")) == (None, number, "1.234,5")
+
+
 @pytest.mark.slow
 def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
     project.name_measured(folder, "LS1", "MP1")
@@ -395,10 +406,13 @@ def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> 
             field.set_value(value)
         await tab.type_position("sources", "LS1")
         assert project.campaign_file(folder).read_text() == before
-        fields[2].set_value(1.5)
+        fields[2].set_value("1,5 m")  # no number, which the field says
+        await tab.type_position("sources", "LS1")
+        assert project.campaign_file(folder).read_text() == before and fields[2].error
+        fields[2].set_value("1,5")
         await tab.type_position("sources", "LS1")
         assert "position = [1.0, 2.0, 1.5]" in project.campaign_file(folder).read_text()
-        assert [field.value for field in tab.fields["sources", "LS1"]] == [1.0, 2.0, 1.5]
+        assert [typed(field.value) for field in tab.fields["sources", "LS1"]] == [1.0, 2.0, 1.5]
 
     walk(MeasurementsTab, folder, way)
 

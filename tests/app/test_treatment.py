@@ -257,7 +257,7 @@ def test_the_form_has_what_the_file_has_and_asks_what_is_typed(hall: Path) -> No
             if isinstance(e, ui.select) and "Add a product" in str(e.props["label"])
         ]
         catalogue.set_value("mineral-wool-50-mm")
-        field("Piece of mineral-wool-50-mm in m²").set_value(0.72)
+        field("Piece of mineral-wool-50-mm in m²").set_value("0,72")
         field("Cost of own per m²").set_value(None)
         field("Bands of target 2").set_value([500.0])
         form.change_targets(0)

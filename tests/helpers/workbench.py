@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -28,7 +29,16 @@ class Answer:
 class Running:
     folder: Path
     address: str
-    pid: int
+    process: subprocess.Popen[str]
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    def ended(self) -> tuple[int, str]:
+        """Interrupt it; return the exit code, and what it has said."""
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(60), self.process.communicate()[1]
 
     @property
     def port(self) -> int:
@@ -100,6 +110,7 @@ def running(folder: Path, limits: str = "", browser: str = "") -> Iterator[Runni
     process = subprocess.Popen(
         [*command, *([] if browser else ["--no-browser"])],
         stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, **own},
     )
@@ -109,7 +120,7 @@ def running(folder: Path, limits: str = "", browser: str = "") -> Iterator[Runni
         while found is None and (line := process.stdout.readline()):
             found = re.search(r"http://\S+", line)
         assert found is not None, "no address was printed"
-        yield Running(folder, found[0], process.pid)
+        yield Running(folder, found[0], process)
     finally:
         process.terminate()
         try:
