@@ -153,10 +153,8 @@ def _isolated(
     others = np.maximum(summed(spreading @ energy) - back * hard, 0.0)
     recorded = summed(filters.window_energies(one, m.response, edges)[0])
     rate_hz = m.response.sampling_rate_hz
-    per_second = (
-        m.noise.floor[band] * rate_hz**2 / (2.0 * float(filters.energy_bandwidth_hz(one)[0]))
-    )
-    noise = per_second * 2.0 * half_s
+    per_second = m.noise.floor[band] * rate_hz**2 / float(filters.energy_bandwidth_hz(one)[0])
+    noise = per_second * half_s
 
     gain = (recorded[0] - noise) / (hard[0] + others[0])
     if gain <= 0.0 or hard[0] < _LEAST_DIRECT_SHARE * (hard[0] + others[0]):
