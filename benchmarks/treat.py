@@ -30,10 +30,11 @@ from roomfit.fit.measurements import observe
 from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
-from roomfit.room.build import build_mesh, oriented
+from roomfit.room.build import build_mesh
 from roomfit.room.scene import Room, Scene, material_areas_m2, room_from_mesh
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
+from roomfit.tracing.enclosure import reached
 from roomfit.treat.arrangements import treat
 from roomfit.treat.question import Product, Surface, Target, problem_of, treated
 from roomfit.treat.search import mean_values
@@ -184,7 +185,7 @@ def strip_room(lengths_m: tuple[float, float, float], shares: FloatArray) -> Roo
         "north": (f + 1, f + 3, *range(last + 1, 0, -2)),
     }
     faces = [Face(corners, MeshSurface(name)) for name, corners in polygons.items()]
-    mesh, _ = oriented(build_mesh(np.array(vertices), faces)[0])
+    mesh, _ = reached(build_mesh(np.array(vertices), faces)[0])
     return room_from_mesh(mesh, {name: name for name in polygons})
 
 

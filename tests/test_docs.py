@@ -27,8 +27,8 @@ from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.pressures.sequential import NOISES
 from roomfit.room.build import TOO_WARPED_FROM_M
-from roomfit.room.check import LEAK_LIMIT
 from roomfit.settings import Settings
+from roomfit.tracing.enclosure import LEAK_LIMIT
 from roomfit.treat.campaign import read_treatment
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 

@@ -99,7 +99,7 @@ def test_units_scale_the_room_and_y_up_turns_it_without_mirroring(tmp_path, unit
     assert volume_m3(mesh) == pytest.approx(21.0 * metres**3, rel=1e-6)
     np.testing.assert_allclose(mesh.vertices_m.min(axis=0), np.array([0, -3, 0]) * metres)
     np.testing.assert_allclose(mesh.vertices_m.max(axis=0), np.array([4, 0, 4]) * metres)
-    assert Code.INSIDE_OUT not in [f.code for f in findings]
+    assert {f.code for f in findings} <= {Code.SMALL_LEAK}
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -174,20 +174,17 @@ def test_tables_are_read_through_their_headings_and_notes(tmp_path):
 @pytest.mark.parametrize(
     "sheet",
     [
-        "number,material,corner 1,corner 2,corner 3,corner 4\n90,cloth,1,4,10,7,Double sided\n",
-        "number,material,corner 1,corner 2,corner 3,corner 4,sides\n90,cloth,1,4,10,7,2\n",
-        "number,material,sides,corner 1,corner 2,corner 3,corner 4\n90,cloth,2,1,4,10,7\n",
+        "number,material,corner 1,corner 2,corner 3\n90,cloth,1,4,10,Double sided\n",
+        "number,material,corner 1,corner 2,corner 3,sides\n90,cloth,1,4,10,2\n",
+        "number,material,sides,corner 1,corner 2,corner 3\n90,cloth,2,1,4,10\n",
     ],
 )
-def test_a_sheet_is_double_sided_by_words_or_by_a_column(tmp_path, sheet):
-    """Its area counts twice, and the volume is that of the room without it."""
+def test_a_sheet_in_the_air_is_struck_on_both_sides_whatever_its_table_says(tmp_path, sheet):
+    """Most of it is in the notch: a sixteenth of 7.5 m2 is in the air, by words or by a column."""
     tables = l_tables(tmp_path)
     planes = (*tables.planes, write(tmp_path, "sheet.csv", sheet))
     mesh, _ = read_mesh(RoomSpec(polygons=PolygonSpec(corners=tables.corners, planes=planes)))
-    alone = 0.5 * material_areas(mesh, {})["cloth"]
-    once = PolygonSpec(corners=tables.corners, planes=planes, sides={"90": 1})
-    one_sided, _ = read_mesh(RoomSpec(polygons=once))
-    assert alone == pytest.approx(material_areas(one_sided, {})["cloth"])
+    assert material_areas(mesh, {})["cloth"] == pytest.approx(2 * 7.5 / 16)
     assert volume_m3(mesh) == pytest.approx(21.0)
 
 
@@ -239,7 +236,6 @@ def test_tables_can_be_patched_by_later_ones(tmp_path):
         corners=(*tables.corners, write(tmp_path, "later.csv", later)),
         planes=(*tables.planes, write(tmp_path, "sheet.csv", sheet)),
         replace={"10": write(tmp_path, "halves.csv", halves)},
-        sides={"90": 1},
         drop=(90,),
     )
     mesh, findings = read_mesh(RoomSpec(polygons=patched))
@@ -269,6 +265,18 @@ def test_tables_can_be_patched_by_later_ones(tmp_path):
         (".stl", b"\x00\xff" * 60, "no faces"),
         (".glb", b"glTF" + b"\x02\0\0\0" * 9, "GLB file cannot be read"),
         (".ac", "AC3Db", r"unknown format\n(.*\n)*.*save it as OBJ"),
+        (".3dm", "3D Geometry", r"unknown format\n(.*\n)*.*Rhino"),
+        (".poly", "8 3 0 0", r"unknown format\n(.*\n)*.*TetGen"),
+        (".geo", "Point(1) = {0, 0, 0};", r"a geometry of Gmsh\n(.*\n)*.*STL or PLY"),
+        (".geo", "*Geometry 1.1,GEN,room # tag", r"a geometry of ESP-r\n(.*\n)*.*DXF"),
+        (
+            ".obj",
+            l_obj()
+            .replace("v 4 ", "v 5800004 ")
+            .replace("v 0 ", "v 5800000 ")
+            .replace("v 1 ", "v 5800001 "),
+            r"on a map(.*\n)*.*move the drawing to its origin",
+        ),
         (".dwg", "x", r"unknown format\n(.*\n)*.*one of .obj, .ply"),
     ],
 )
@@ -340,7 +348,7 @@ def test_the_seminar_room_has_its_published_measures(real_data):
     expected = {"concrete": 56.94, "windows": 9.75, "ceiling": 51.62, "plaster": 34.93}
     expected["floor"] = 49.29
     assert {k.removeprefix("mat_scene09_"): round(v, 2) for k, v in areas.items()} == expected
-    assert {f.code for f in findings} <= {Code.SEAM_FACES, Code.SLIVERS}
+    assert findings == ()
 
 
 def test_the_simplified_seminar_room_is_turned_outside_in(real_data):
@@ -350,7 +358,7 @@ def test_the_simplified_seminar_room_is_turned_outside_in(real_data):
 
     assert round(volume_m3(room.mesh), 1) == 144.3
     assert len(room.materials) == 5
-    assert [f.code for f in findings] == [Code.INSIDE_OUT]
+    assert findings == ()
 
 
 def ptb(real_data: Path, **changes) -> RoomSpec:
@@ -369,14 +377,15 @@ def test_the_studio_loads_in_spite_of_its_faults(real_data):
     room, findings = read_room(ptb(real_data))
     by_code = {f.code: f for f in findings}
 
-    # the boxes on the wall and the ceiling of phase 3 take 15 m3 from the 389 m3 of phase 2
-    assert volume_m3(room.mesh) == pytest.approx(373.5, rel=1e-3)
+    # the boxes on the wall and the ceiling of phase 3 take 15 m3 from the 392 m3 of phase 2
+    assert volume_m3(room.mesh) == pytest.approx(377.15, rel=1e-3)
     assert len(room.materials) == 9
     assert "405, 408, 412, 415, 419 and 1 more" in by_code[Code.CORNERS_DIFFER].sentence
     assert "plane 6: 25.74 m2 stated, 28.05 m2" in by_code[Code.STATED_AREA_MISMATCH].sentence
     assert "'studio wall' and 'studio_wall'" in by_code[Code.MATERIAL_NAMES_SIMILAR].sentence
-    leak = by_code[Code.SMALL_LEAK].evidence
-    assert 0 < leak["escapes"] / leak["hits"] < 1e-3
+    assert 0 < by_code[Code.SMALL_LEAK].evidence["share"] < 1e-3
+    # plane 8 lies upon a part of plane 6, which is larger by its area than the table says
+    assert "'8' near" in by_code[Code.AIR_REACHED].sentence
 
 
 def test_the_studio_of_phase_two_has_its_published_volume(real_data):

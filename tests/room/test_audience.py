@@ -8,8 +8,9 @@ import pytest
 from roomfit.base.errors import InputError
 from roomfit.base.polygon import Face, Surface
 from roomfit.room.audience import audience_area_m2
-from roomfit.room.build import build_mesh, oriented
+from roomfit.room.build import build_mesh
 from roomfit.room.mesh import Mesh, shoebox_mesh
+from roomfit.tracing.enclosure import reached
 
 HALL = shoebox_mesh((20.0, 12.0, 8.0))
 BLOCK = [(5, 3), (15, 3), (15, 9), (5, 9)]
@@ -94,7 +95,7 @@ def hall_with_a_block(height_m: float) -> Mesh:
     floor = [(0, 1, 9, 8), (1, 2, 10, 9), (2, 3, 11, 10), (3, 0, 8, 11)]
     faces = [Face(c, Surface("seats")) for c in solid]
     faces += [Face(c, Surface("hall")) for c in [*around[1:], *floor]]
-    return oriented(build_mesh(corners, faces)[0])[0]
+    return reached(build_mesh(corners, faces)[0])[0]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.weighing import energy_rows, weigh
 from roomfit.paper.room import paper_scene
-from roomfit.room.inside import distance_to_walls_m
+from roomfit.room.inside import nearest_triangles
 from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room, Scene
 from roomfit.tracing.image_sources import trace_images
@@ -143,7 +143,7 @@ def test_rays_bring_what_polyhedral_images_bring_order_by_order(name: str, radiu
     room = rooms[name]
     size = {"gabled": (15.64, 10.7, 2.8), "L": (6.0, 2.0, 2.5), "sheet": (4.0, 3.0, 2.5)}[name]
     points = np.array(size) * np.random.default_rng(3).uniform(0.1, 0.9, (40, 3))
-    source, *receivers = points[distance_to_walls_m(room.mesh, points) > 0.3][:5]
+    source, *receivers = points[nearest_triangles(room.mesh, points)[0] > 0.3][:5]
     scene = scene_of(room, [source], receivers)
     a = np.linspace(0.1, 0.6, len(room.materials))
     still = uniform_scattering(room.materials, 0.0)

@@ -23,7 +23,7 @@ from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.draft import check_unit
 from roomfit.files.encoding import finding_content, numbers_or_null
-from roomfit.files.inputs import check_campaign
+from roomfit.files.inputs import check_campaign, positions_m
 from roomfit.files.remedies import advised
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
@@ -59,7 +59,7 @@ def room_view(folder: Path) -> dict[str, Any]:
     Faces are triangles of three corners and a surface, the largest 2,500 of them.
     """
     with project.filled_campaign(folder) as campaign:
-        mesh, findings = read_mesh(campaign.room)
+        mesh, findings = read_mesh(campaign.room, positions_m(campaign))
         faults = list[dict[str, Any]]()
         try:
             check = check_campaign(campaign)
@@ -201,7 +201,7 @@ def table_positions(folder: Path, table: str = "") -> list[dict[str, Any]]:
 
 def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
     """Return the edges of the room from above, each x, y, x, y in m, and x, y, name of walls."""
-    mesh = read_mesh(campaign.room)[0]
+    mesh = read_mesh(campaign.room, positions_m(campaign))[0]
     edges = outline_m(_any_room(mesh, campaign.room.materials))[:, :, :2]
     # an upright edge is a point from above, and two lie upon each other
     plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()

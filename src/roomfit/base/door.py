@@ -43,7 +43,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "polygon_corners": (2000, "corners of one polygon"),
     "polygon_pairs": (4e6, "pairs of corners of one polygon, over all polygons beyond 100 corners"),
     "near_pairs": (1e6, "pairs of corners that are nearer than 0.1 mm without being equal"),
-    "open_edges": (8000, "edges of a room without a neighbour"),
+    "crossings": (20000, "pairs of faces that lie upon or run through each other"),
     "inserts": (10000, "blocks that a drawing inserts, counted as often as they appear"),
     "entities": (1e6, "entities of a drawing, those of blocks as often as they appear"),
     "constants": (10000, "constants of one .geo file"),

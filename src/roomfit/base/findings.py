@@ -145,23 +145,16 @@ class Code(StrEnum):
 
     # The room.
 
-    INSIDE_OUT = "inside-out", "info"
-    FLIPPED_FACES = "flipped-faces", "warning"
-    SURFACE_NOT_ORIENTABLE = "surface-not-orientable", "warning"
-    NOT_CLOSED = "not-closed", "warning"
+    AIR_REACHED = "air-reached", ("info", "warning")
+    SEVERAL_SPACES = "several-spaces", ("info", "warning")
+    FACES_CROSS = "faces-cross", "serious"
     SMALL_LEAK = "small-leak", "warning"
     LEAK = "leak", "serious"
     NO_VOLUME = "no-volume", "serious"
-    NO_INTERIOR = "no-interior", "serious"
     UNUSUAL_SIZE = "unusual-size", "warning"
-    ZERO_AREA_FACE = "zero-area-face", "serious"
-    SEAM_FACES = "seam-faces", "info"
-    REPEATED_FACE = "repeated-face", "warning"
-    BACK_TO_BACK_FACES = "back-to-back-faces", "warning"
     SELF_INTERSECTING_POLYGON = "self-intersecting-polygon", "warning"
     WARPED_POLYGON = "warped-polygon", "info"
     POLYGON_NOT_PLANAR = "polygon-not-planar", "serious"
-    SLIVERS = "slivers", "info"
     NO_MATERIAL = "no-material", "serious"
     CORNERS_DIFFER = "corners-differ", "info"
     PLANES_REPLACED = "planes-replaced", "info"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -103,3 +104,54 @@ def plane_axes(normal: FloatArray) -> FloatArray:
     u = np.cross(helper, normal)
     u /= np.linalg.norm(u)
     return np.array([u, np.cross(normal, u)])
+
+
+def area_m2(polygons: Iterable[FloatArray]) -> float:
+    """Return the sum of the areas of some polygons."""
+    return float(sum(np.linalg.norm(area_vector_m2(polygon)) for polygon in polygons))
+
+
+def divide(piece: FloatArray, triangle: FloatArray) -> tuple[FloatArray | None, list[FloatArray]]:
+    """Return what of a convex polygon lies within a triangle of its plane, and what lies outside.
+
+    Convex polygons: beyond each edge of the triangle in turn, and within all edges before it.
+    Where nothing lies within it comes None, and the piece whole.
+    """
+    inner, outside = piece, []
+    for a, b in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+        below, above = halves(inner, a, np.cross(b - a, area_vector_m2(triangle)))
+        outside.append(above)
+        inner = below
+    if is_thin(inner):
+        return None, [piece]
+    return inner, [rest for rest in outside if not is_thin(rest)]
+
+
+def halves(
+    piece: FloatArray, point_m: FloatArray, normal: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what of a convex polygon lies below and above a plane."""
+    height_m = (piece - point_m) @ (normal / np.linalg.norm(normal))
+    height_m[np.abs(height_m) < 0.1 * WELD_TOLERANCE_M] = 0.0
+    return _above(piece, -height_m), _above(piece, height_m)
+
+
+def _above(polygon: FloatArray, height_m: FloatArray) -> FloatArray:
+    """Clip a convex polygon at a line by its corners' heights (Sutherland and Hodgman 1974)."""
+    corners: list[FloatArray] = []
+    for k in range(len(polygon)):
+        n = (k + 1) % len(polygon)
+        if height_m[k] >= 0.0:
+            corners.append(polygon[k])
+        if height_m[k] * height_m[n] < 0.0:
+            share = height_m[k] / (height_m[k] - height_m[n])
+            corners.append(polygon[k] + share * (polygon[n] - polygon[k]))
+    return np.array(corners).reshape(-1, 3)
+
+
+def is_thin(polygon: FloatArray) -> bool:
+    """Return whether a polygon is thinner than the tolerance at which corners are welded."""
+    if len(polygon) < 3:
+        return True
+    edges = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
+    return bool(2.0 * area_m2([polygon]) <= WELD_TOLERANCE_M * float(edges.sum()))

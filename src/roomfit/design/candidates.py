@@ -14,14 +14,15 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.design.choose import Criterion, Rules
+from roomfit.room.mesh import refuse
 from roomfit.room.scene import (
     NEAREST_PAIR_M,
     Point,
     Room,
     Scene,
-    check_points,
     distances_m,
     is_clear_of_walls,
+    position_findings,
 )
 from roomfit.signals.measurement import Level
 
@@ -196,7 +197,7 @@ def design_candidates(
                 needed=f"[{kind}s.NAME] with a position, or positions in [design]",
                 hint=f"add [{kind}s.NAME] with position = [x, y, z]",
             )
-        check_points(existing.room, points, ())
+        refuse(position_findings(existing.room, points, ()))
     # existing points come first, so that their indices are those of the existing scene
     measured = {(int(s), int(r)) for s, r in existing.pairs}
     every = np.array([(i, j) for i in range(len(sources)) for j in range(len(receivers))])

@@ -30,8 +30,9 @@ from roomfit.files.tables import length_unit
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import catalogue, suggested_entries
 from roomfit.room.audience import audience_area_m2
+from roomfit.room.build import is_level_by_name
 from roomfit.room.mesh import Mesh
-from roomfit.room.scene import is_level_by_name, material_areas, surface_materials
+from roomfit.room.scene import material_areas, surface_materials
 
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
 _LEAST_M, _HIGHEST_M, _LONGEST_M, _LARGEST_M3 = 1.5, 20.0, 150.0, 60_000.0

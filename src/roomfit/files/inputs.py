@@ -377,9 +377,15 @@ def identify_arguments(
     }
 
 
+def positions_m(campaign: schema.Campaign) -> FloatArray:
+    """Return where sources and receivers stand, shape (n, 3): the room is the air about them."""
+    points = (*campaign.sources, *campaign.receivers)
+    return np.array([p.position_m for p in points], dtype=np.float64).reshape(-1, 3)
+
+
 def campaign_room(campaign: schema.Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
-    room, findings = read_room(campaign.room)
+    room, findings = read_room(campaign.room, positions_m(campaign))
     with located(str(campaign.path)):
         findings = (*findings, *campaign.findings)
         described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
@@ -427,7 +433,7 @@ def check_campaign(campaign: schema.Campaign) -> RoomCheck:
     Measured files are not opened. Positions are checked once the room itself has no fault.
     """
     spec = campaign.room
-    mesh, findings = read_mesh(spec)
+    mesh, findings = read_mesh(spec, positions_m(campaign))
     check = check_mesh(mesh, spec.materials, findings)
     if not check.traceable:
         return check

@@ -99,8 +99,6 @@ class PolygonSpec(Table):
     """A plane's number, and the CSV file of planes that replace it."""
     drop: tuple[int, ...] = ()
     """Numbers of planes to leave out."""
-    sides: dict[str, Literal[1, 2]] = {}
-    """A plane's number and 1 (a wall) or 2 (a sheet in the air), whatever its row says."""
 
 
 class RoomSpec(Table):
@@ -115,6 +113,10 @@ class RoomSpec(Table):
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonSpec | None = None
     """Tables of corners and planes."""
+    plan: list[tuple[float, float]] | None = None
+    """Corners x, y of the floor in their order around it, under upright walls."""
+    height: float | list[float] | None = None
+    """Of a plan: of the ceiling, or above each corner; with two highest corners a gabled roof."""
     unit: str | None = None
     """m, mm, cm, ft or in; required where the file states none (OBJ, PLY, STL)."""
     up: Literal["z", "y"] | None = None
@@ -127,7 +129,7 @@ class RoomSpec(Table):
     def model_post_init(self, _: Any, /) -> None:
         """Refuse a room without a description, or with two, and a space of a file without them."""
         what, hint = "the room needs exactly one description", "keep the one that is as the room is"
-        the_one(self, ("file", "shoebox", "polygons"), what, "room", hint)
+        the_one(self, ("file", "shoebox", "polygons", "plan"), what, "room", hint)
         if self.space is not None and (self.file or Path()).suffix.lower() not in _OF_SEVERAL:
             what = "only a building model and a scan have spaces"
             needed = f"a file of {' or '.join(_OF_SEVERAL)}"

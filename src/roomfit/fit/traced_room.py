@@ -31,14 +31,14 @@ from roomfit.model.reduced_rows import (
 )
 from roomfit.model.room_parameters import ValuesTerm, scatter_parts, strengths_db, value_terms
 from roomfit.model.weighing import regrouped_rows, rows_in_air
-from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.mesh import refuse, surface_area_m2, volume_m3
 from roomfit.room.scene import (
     Scene,
-    check_points,
     distances_m,
     material_areas_m2,
     pair_names,
     pair_states,
+    position_findings,
     select_pairs,
 )
 from roomfit.settings import Settings
@@ -220,7 +220,7 @@ def check_scene(scene: Scene) -> None:
         what = "the scene has no pair to predict"
         hint = "give scene_of a source and a receiver"
         raise InputError(what, found="no pair", needed="a source and a receiver", hint=hint)
-    check_points(scene.room, scene.sources, scene.receivers)
+    refuse(position_findings(scene.room, scene.sources, scene.receivers))
     if np.unique(pair_states(scene)).size > 1:
         raise InputError(
             "a prediction is of one state of the room",

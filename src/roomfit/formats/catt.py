@@ -8,22 +8,32 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.base.door import check_limit
+from roomfit.base.door import check_limit, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.polygon import WELD_TOLERANCE_M, Face, Surface, area_vector_m2, triangulate
+from roomfit.base.polygon import Surface, area_m2, divide, triangulate
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.formats.catt_language import GeoFile, Line, corner_of, read_files, split_outside
 from roomfit.formats.model import Polygon, RoomModel, joined, no_faces
 
 _MOST_CORNERS = 2000
 _MOST_PLANES = 20_000
+# Other programs whose files end so: what stands in them, and what helps
+_OTHERS = {
+    "Gmsh": (
+        r"(?im)^\s*(setfactory|point|line|(plane|physical) surface|(line|curve) loop)\s*\(",
+        "save its surfaces as STL or PLY there, by File, Export",
+    ),
+    "ESP-r": (
+        r"(?im)\A(\s*#.*\n)*\s*(\*geometry\b|gen\s+\S+\s)",
+        "write it as DXF with ESP-r's converter: ecnv -if esp -of dxf",
+    ),
+}
 _UNCOVERED = 1e-4  # share of a plane that its parts may leave open
 
 
@@ -64,9 +74,16 @@ def read_catt(path: Path) -> RoomModel:
 
     OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL apply to their own file.
     MIRROR adds the image at x = 0 of every corner, and of every plane that names no image itself
-    and is not its own image. Two planes on the same corners with opposite reflecting sides and
-    one material become one sheet that reflects on both sides.
+    and is not its own image.
     """
+    text = read_text(path, "room file")
+    for of, (sign, hint) in _OTHERS.items():
+        if re.search(sign, text):
+            what, needed = (
+                f"this is a geometry of {of}",
+                "a .geo of CATT-Acoustic, or another format",
+            )
+            raise InputError(what, where=str(path), found=of, needed=needed, hint=hint)
     files = read_files(path)
     materials, findings = _materials(files)
     polygons: list[Polygon] = []
@@ -87,10 +104,8 @@ def read_catt(path: Path) -> RoomModel:
     if not polygons:
         needed = "PLANES, and below it [number name / corners / material]"
         raise no_faces(path, "no line below PLANES", needed)
-    vertices, faces = joined(_sheets(polygons))
-    # CATT-Acoustic's normals point into the air, roomfit's out of it
-    turned = tuple(Face(face.corners[::-1], face.surface) for face in faces)
-    return RoomModel(vertices, turned, findings, "m", "z")
+    vertices, faces = joined(polygons)
+    return RoomModel(vertices, faces, findings, "m", "z")
 
 
 def _planes(file: GeoFile) -> Iterator[_Plane]:
@@ -231,54 +246,16 @@ def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
         pieces = [part]
         for hole in taken:
             convex = [t for p in pieces for t in (_triangles(p) if len(p) > 3 else [p])]
-            outside = [_outside(piece, hole) for piece in convex]
-            if any(rest is not None for rest in outside):
-                pairs = zip(convex, outside, strict=True)
-                pieces = [p for own, rest in pairs for p in ([own] if rest is None else rest)]
+            divided = [divide(piece, hole) for piece in convex]
+            if any(inner is not None for inner, _ in divided):
+                pieces = [p for _, outside in divided for p in outside]
         left.append(pieces)
         taken.extend(_triangles(part))
     return left
 
 
-def area_m2(polygons: list[FloatArray]) -> float:
-    """Return the sum of the areas of some polygons."""
-    return float(sum(np.linalg.norm(area_vector_m2(polygon)) for polygon in polygons))
-
-
 def _triangles(polygon: FloatArray) -> list[FloatArray]:
     return [polygon[corners] for corners in triangulate(polygon).triangles]
-
-
-def _outside(piece: FloatArray, hole: FloatArray) -> list[FloatArray] | None:
-    """Return the convex pieces of a convex polygon outside a triangle, None where all of it is."""
-    outside: list[FloatArray] = []
-    for a, b in zip(hole, np.roll(hole, -1, axis=0), strict=True):
-        outwards = np.cross(b - a, area_vector_m2(hole))
-        height_m = (piece - a) @ (outwards / np.linalg.norm(outwards))
-        height_m[np.abs(height_m) < 0.1 * WELD_TOLERANCE_M] = 0.0
-        outside.append(_above(piece, height_m))
-        piece = _above(piece, -height_m)
-    return None if _is_thin(piece) else [rest for rest in outside if not _is_thin(rest)]
-
-
-def _above(polygon: FloatArray, height_m: FloatArray) -> FloatArray:
-    """Clip a convex polygon at a line by its corners' heights (Sutherland and Hodgman 1974)."""
-    corners: list[FloatArray] = []
-    for k in range(len(polygon)):
-        n = (k + 1) % len(polygon)
-        if height_m[k] >= 0.0:
-            corners.append(polygon[k])
-        if height_m[k] * height_m[n] < 0.0:
-            share = height_m[k] / (height_m[k] - height_m[n])
-            corners.append(polygon[k] + share * (polygon[n] - polygon[k]))
-    return np.array(corners).reshape(-1, 3)
-
-
-def _is_thin(polygon: FloatArray) -> bool:
-    if len(polygon) < 3:
-        return True
-    edges = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
-    return bool(2.0 * area_m2([polygon]) <= WELD_TOLERANCE_M * float(edges.sum()))
 
 
 def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...]]:
@@ -315,23 +292,3 @@ def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...
     text = f"The file replaces one material by another: {listed}."
     about = About(materials=list(dict.fromkeys(followed.values())))
     return spelling | followed, (Finding(Code.MATERIALS_JOINED, about, text, evidence),)
-
-
-def _sheets(polygons: list[Polygon]) -> list[Polygon]:
-    """Join planes on the same points, turned against each other, with one material."""
-    first: dict[tuple[object, ...], int] = {}
-    kept: list[Polygon] = []
-    for points, surface in polygons:
-        ring = list(map(tuple, (np.round(points, 6) + 0.0).tolist()))
-        keys = []
-        for outline in (ring, ring[::-1]):
-            start = outline.index(min(outline))
-            keys.append((surface.file_material, *outline[start:], *outline[:start]))
-        partner = first.pop(keys[1], None)
-        if partner is None:
-            first[keys[0]] = len(kept)
-            kept.append((points, surface))
-        else:
-            front_m, front = kept[partner]
-            kept[partner] = (front_m, replace(front, double_sided=True))
-    return kept

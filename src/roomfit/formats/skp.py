@@ -5,42 +5,42 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from roomfit.base.findings import Finding
 from roomfit.base.polygon import Surface
-from roomfit.base.typing import FloatArray
-from roomfit.formats.model import Outlines, ignored, isolated_polygons, outline
+from roomfit.formats.model import (
+    Outlines,
+    RoomModel,
+    ignored,
+    isolated_polygons,
+    joined,
+    outline,
+)
 
 
-class TwoSided(NamedTuple):
-    """A face that is painted on both sides, of which one looks into the room."""
-
-    corners_in: FloatArray  # (n_corners, 3), counter-clockwise as seen from its front; z up
-    front: Surface
-    back: Surface
-
-
-def read_skp(path: Path) -> tuple[list[TwoSided], tuple[Finding, ...]]:
+def read_skp(path: Path) -> RoomModel:
     """Read the faces of a SketchUp model by openskp: inches, z up.
 
     A surface has the name of its component or group, "model" outside of them, and the material
     that is painted on it; unpainted faces have that of the component, and sides without paint that
-    of the other side. Hidden faces are of the room as well, for ceilings are hidden to look in.
+    of the other side. Each face comes once for its front and, turned, once for its back, so that
+    the one counts which looks into the air. Hidden faces are of the room as well, for ceilings are
+    hidden to look in.
     """
     read, install = "roomfit.formats.skp:read", "roomfit[skp], or export it as COLLADA, OBJ or GLB"
     head, painted = isolated_polygons(path, read, "openskp", "SketchUp", install)
-    faces = []
+    polygons = []
     for points, sides in painted:
         front, back = sides.file_material, sides.group
-        materials = (front or back, back or front)
-        faces.append(TwoSided(points, *(Surface(sides.name, None, m) for m in materials)))
+        polygons.append((points, Surface(sides.name, None, front or back)))
+        polygons.append((points[::-1], Surface(sides.name, None, back or front)))
     kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
     if int(head["hidden"]):
         kinds["hidden face, taken all the same"] = int(head["hidden"])
-    return faces, ignored("The model has parts that are hidden or no faces", kinds)
+    findings = ignored("The model has parts that are hidden or no faces", kinds)
+    return RoomModel(*joined(polygons), findings, "in", "z")
 
 
 def read(content: bytes, most_bytes: float, place: list[str]) -> tuple[dict[str, Any], list[Any]]:

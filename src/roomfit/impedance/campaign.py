@@ -21,7 +21,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
 from roomfit.base.whole_files import check_output_folder, sole_writer
 from roomfit.files.campaign import Campaign, input_files, read_campaign, refuse_objects
-from roomfit.files.inputs import read_file
+from roomfit.files.inputs import positions_m, read_file
 from roomfit.files.rooms import read_room
 from roomfit.files.schema import MaterialTable, MeasurementTable
 from roomfit.fit.measurements import from_emission
@@ -75,7 +75,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[dict[str, Any], tuple[Findi
 
     All arguments but the random generator.
     """
-    room, room_findings = read_room(campaign.room)
+    room, room_findings = read_room(campaign.room, positions_m(campaign))
     refuse_objects(campaign, "roomfit impedance")
     walls = _wall_models(campaign, room.materials)
     files = [m for m in campaign.measurements if m.use == "fit"]

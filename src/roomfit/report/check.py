@@ -23,17 +23,13 @@ if TYPE_CHECKING:
 def room_blocks(title: str, check: RoomCheck, advice: Advice | None = None) -> Blocks:
     """Return the room's size, its materials, and what is wrong with it."""
     x, y, z = check.size_m
-    about = "" if check.closed else "  (approximate: the mesh is not closed)"
-    leak = "no point inside found"
-    if check.leak is not None:
-        leak = f"{1e2 * check.leak:.3g} % of hits lost" if check.leak else "no ray lost"
-    closed = "closed" if check.closed else "not closed"
+    leak = f"{1e2 * check.leak:.3g} % of flights lost" if check.leak else "closed, no ray lost"
     terms = (
         ("size", f"{x:.2f} x {y:.2f} x {z:.2f} m"),
-        ("volume V", f"{check.volume_m3:.2f} m3{about}"),
+        ("volume V", f"{check.volume_m3:.2f} m3"),
         ("surface S", f"{check.surface_m2:.2f} m2"),
         ("mean free path", f"{check.mean_free_path_m:.3f} m  (4 V / S)"),
-        ("mesh", f"{check.n_triangles} triangles, {check.n_surfaces} surfaces, {closed}, {leak}"),
+        ("mesh", f"{check.n_triangles} triangles, {check.n_surfaces} surfaces, {leak}"),
     )
     rows = [
         (name or "(no material)", area, f"{1e2 * area / (check.surface_m2 or np.inf):.1f} %")

@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.base.errors import InputError
 from roomfit.base.polygon import area_vector_m2, place, triangulate
 from roomfit.base.typing import FloatArray
-from roomfit.room.inside import is_inside
+from roomfit.room.inside import is_inside, to_walls_m
 from roomfit.room.mesh import Mesh, corners_m
 
 EAR_M = 0.4  # above the floor: within a block of seats, below most rails
@@ -125,29 +125,12 @@ def _widths_m(
         outwards = np.array([flat[1], -flat[0], 0.0])
         # a block may end in the wall itself
         starts = a + at[:, None] * (b - a) + [0.0, 0.0, EAR_M] - _STEP_M * outwards
-        free = _to_walls_m(walls_m, starts, outwards) - _STEP_M
+        free = to_walls_m(walls_m, starts, outwards) - _STEP_M
         for other in others_m:
             aisle = _to_block_m(other[:, :2], starts[:, :2], outwards[:2]) - _STEP_M
             free = np.minimum(free, 0.5 * aisle)
         found.append(np.clip(free, 0.0, edge_m).mean())
     return np.array(found)
-
-
-def _to_walls_m(walls_m: FloatArray, starts_m: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return the distance from points to the nearest triangle in a direction, shape (n_points,)."""
-    a = walls_m[:, 0]
-    ab, ac = walls_m[:, 1] - a, walls_m[:, 2] - a
-    h = np.cross(direction, ac)
-    determinant = np.sum(ab * h, axis=1)
-    met = np.abs(determinant) > 1e-12
-    a, ab, ac, h, determinant = (x[met] for x in (a, ab, ac, h, determinant))
-    s = starts_m[:, None] - a
-    k = np.cross(s, ab)
-    u = np.sum(s * h, axis=2) / determinant
-    v = k @ direction / determinant
-    t = np.sum(k * ac, axis=2) / determinant
-    hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
-    return np.asarray(np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
 
 
 def _to_block_m(outline_m: FloatArray, starts_m: FloatArray, way: FloatArray) -> FloatArray:

@@ -1,13 +1,10 @@
-"""From the polygons of a file to a mesh of triangles whose normals point out of the air.
-
-What was wrong with the polygons is reported in findings.
-"""
+"""From the polygons of a file to a mesh of triangles, with what is wrong with them as findings."""
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+import re
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,19 +12,13 @@ from roomfit.base.arguments import float_array
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.polygon import Face, Surface, place, triangulate
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.room.inside import is_inside
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.room.mesh import (
-    Edges,
     Mesh,
     about_points,
     area_vectors_m2,
-    corners_m,
-    edges_of,
     fault,
-    is_double_sided,
-    refuse,
-    triangle_areas_m2,
+    volume_m3,
     weld,
 )
 
@@ -55,9 +46,8 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     mesh : Mesh
         Surfaces in the order of their first face; corners that no face uses are gone.
     findings : tuple of Finding
-        Faces without area (a fault, unless they only fill a seam between others), repeated and
-        back-to-back ones, outlines that cross themselves, and polygons that are not flat by more
-        than 1 mm (above 1 cm: a fault).
+        Outlines that cross themselves, and polygons that are not flat by more than 1 mm (above
+        1 cm: a fault). Faces without area are left out.
 
     Raises
     ------
@@ -80,16 +70,14 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     representative = weld(vertices) if len(vertices) else np.zeros(0, dtype=np.int64)
     spots: _Spots = defaultdict(list)
     most_warped_m = 0.0
-    flat: list[tuple[IntArray, Surface]] = []
     triangles: list[IntArray] = []
     owner: list[int] = []
     surfaces: dict[Surface, int] = {}
-    for corners, surface in _distinct(faces, representative, vertices, spots):
-        cut = triangulate(vertices[corners]) if len(corners) >= 3 else None
-        if cut is None or not len(cut.triangles):
-            flat.append((corners, surface))
-            continue
-        spot = _spot(surface, vertices[corners])
+    for corners, surface in _distinct(faces, representative):
+        cut = triangulate(vertices[corners])
+        if not len(cut.triangles):
+            continue  # a seam, or a slip: if it was to close the room, that leaks
+        spot = surface.name, vertices[corners].mean(axis=0)
         if cut.crosses_itself:
             spots[Code.SELF_INTERSECTING_POLYGON].append(spot)
         if cut.off_plane_m > WARPED_FROM_M:
@@ -100,15 +88,8 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         owner.extend([index] * len(cut.triangles))
     all_corners = np.concatenate([np.zeros((0, 3), dtype=np.int64), *triangles])
     used, renumbered = np.unique(all_corners, return_inverse=True)
-    # Programs that cut surfaces into triangles leave faces without area where the corners of other
-    # faces stand on a long edge; the mesh is as tight without them. Such a face with a corner of
-    # its own is a mistake.
-    for corners, surface in flat:
-        code = Code.SEAM_FACES if np.isin(corners, used).all() else Code.ZERO_AREA_FACE
-        spots[code].append(_spot(surface, vertices[corners]))
     findings = _findings(spots, most_warped_m)
     if not triangles:
-        refuse(findings)
         what, found = "the room has no faces", f"none with an area, of {len(faces)}"
         hint = "export the room again, with its surfaces as polygons or triangles"
         needed = "at least four faces with an area"
@@ -118,97 +99,47 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
 
 
 def _distinct(
-    faces: Iterable[Face], representative: IntArray, vertices: FloatArray, spots: _Spots
+    faces: Iterable[Face], representative: IntArray
 ) -> Iterable[tuple[IntArray, Surface]]:
-    """Yield welded corners and surface of each face that does not repeat an earlier one.
+    """Yield welded corners and surface of each face, one that comes again the same way round once.
 
     Fewer than three corners mean a face that welding has closed up.
     """
-    visited: dict[tuple[int, ...], tuple[int, ...]] = {}
+    visited: set[tuple[int, ...]] = set()
     stands_for = representative.tolist()
     for face in faces:
         welded = [stands_for[corner] for corner in face.corners]
         before = [welded[-1], *welded[:-1]]
-        corners = [c for c, b in zip(welded, before, strict=True) if c != b]
-        if len(corners) < 3:
-            points = vertices[list(face.corners)]
-            if len(np.unique(points, axis=0)) < 3:
-                spots[Code.ZERO_AREA_FACE].append(_spot(face.surface, points))
-            else:
-                yield np.unique(welded)[:2], face.surface
-            continue
-        turn = _from_smallest(corners)
-        outline = min(turn, _from_smallest(corners[::-1]))
-        earlier = visited.setdefault(outline, turn)
-        if earlier is turn:
+        corners = [c for c, b in zip(welded, before, strict=True) if c != b] or welded[:1]
+        start = corners.index(min(corners))
+        turn = (*corners[start:], *corners[:start])
+        if turn not in visited:
+            visited.add(turn)
             yield np.array(corners), face.surface
-        elif earlier == turn or face.surface.double_sided:
-            spots[Code.REPEATED_FACE].append(_spot(face.surface, vertices[corners]))
-        else:
-            spots[Code.BACK_TO_BACK_FACES].append(_spot(face.surface, vertices[corners]))
-            yield np.array(corners), face.surface
-
-
-def _from_smallest(corners: list[int]) -> tuple[int, ...]:
-    start = corners.index(min(corners))
-    return (*corners[start:], *corners[:start])
-
-
-def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, FloatArray]:
-    return surface.name, corners_m.mean(axis=0)
-
-
-_SENTENCES = {
-    Code.SEAM_FACES: "a seam without area, left out",
-    Code.REPEATED_FACE: "given twice and kept once",
-    Code.BACK_TO_BACK_FACES: "back to back with another face; which of the two materials sound "
-    "meets is open",
-    Code.SELF_INTERSECTING_POLYGON: "with an outline that crosses itself; a part may be "
-    "covered twice or not at all",
-}
 
 
 def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
     found: list[Finding] = []
-    for code in (Code.ZERO_AREA_FACE, *_SENTENCES, Code.WARPED_POLYGON):
-        points_m = [point_m for _, point_m in spots.get(code, ())]
-        named = [(name, place(point_m)) for name, point_m in spots.get(code, ())]
-        n, where, about = len(named), listed(named), about_points(points_m)
-        count = "1 face is" if n == 1 else f"{n} faces are"
-        if not n:
-            continue
-        if code is Code.ZERO_AREA_FACE:
-            needed = "at least three corners that do not stand on one line"
-            hint = "delete these faces in the drawing program (in Blender: Degenerate Dissolve)"
-            what, at = "faces without area", points_m
-            found.append(
-                fault(
-                    Code.ZERO_AREA_FACE, what, where=where, found=str(n), needed=needed, hint=hint,
-                    points_m=at,
-                )
-            )  # fmt: skip
-        elif code in _SENTENCES:
-            text = f"{count} {_SENTENCES[code]}: {where}."
-            found.append(Finding(code, about, text, {"places": named}))
-        elif most_warped_m <= TOO_WARPED_FROM_M:
-            text = (
-                f"{count} not flat, by up to {1e3 * most_warped_m:.1f} mm: {where}. "
-                "They are cut into flat triangles."
+    for code, own in spots.items():
+        points_m, where = [at for _, at in own], listed([(name, place(at)) for name, at in own])
+        count = "1 face is" if len(own) == 1 else f"{len(own)} faces are"
+        text = f"{count} not flat, by up to {1e3 * most_warped_m:.1f} mm, and cut: {where}."
+        if code is Code.SELF_INTERSECTING_POLYGON:
+            text = f"{count} with an outline that crosses itself: {where}."
+        evidence = {"off_plane_m": most_warped_m}
+        finding = Finding(code, about_points(points_m), text, evidence)
+        if code is Code.WARPED_POLYGON and most_warped_m > TOO_WARPED_FROM_M:
+            finding = fault(
+                Code.POLYGON_NOT_PLANAR,
+                "polygons that are not flat",
+                where=where,
+                found=f"corners up to {1e3 * most_warped_m:.0f} mm off their plane",
+                needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
+                hint="look for a mistyped corner, or give the surface as triangles",
+                points_m=points_m,
+                **evidence,
             )
-            found.append(Finding(code, about, text, {"off_plane_m": most_warped_m}))
-        else:
-            found.append(
-                fault(
-                    Code.POLYGON_NOT_PLANAR,
-                    "polygons that are not flat",
-                    where=where,
-                    found=f"corners up to {1e3 * most_warped_m:.0f} mm off their plane",
-                    needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
-                    hint="look for a mistyped corner, or give the surface as triangles",
-                    points_m=points_m,
-                    off_plane_m=most_warped_m,
-                )
-            )
+        found.append(finding)
     return tuple(found)
 
 
@@ -218,116 +149,43 @@ def listed(spots: Sequence[tuple[str, str]]) -> str:
     return text + (f" and {len(spots) - _SHOWN} more" if len(spots) > _SHOWN else "")
 
 
-# How far from a face the air is looked for: beyond the rounding of drawings, within any wall.
-_STEP_M = 1e-3
-_PROBES = 5
+_LEVEL_NAMES = re.compile(
+    r"floor|ceiling|boden|decke|plancher|plafond|(?<![a-z])sol(?![a-z])", re.IGNORECASE
+)
 
 
-def oriented(mesh: Mesh) -> tuple[Mesh, tuple[Finding, ...]]:
-    """Return the mesh with normals that point out of the air, and what was turned.
+def is_level_by_name(surface: Surface) -> bool:
+    """Return whether a name of a surface says floor or ceiling, in English, German or French."""
+    names = (surface.name, surface.group, surface.file_material)
+    return any(_LEVEL_NAMES.search(name) for name in names if name)
 
-    Neighbours are made to agree across every edge that two triangles share. Then each connected
-    part is turned as a whole, by asking on which side of its largest faces the room encloses a
-    point; so the walls' normals point outwards and a pillar's inwards, into the pillar.
 
-    Returns
-    -------
-    mesh : Mesh
-        The same triangles in the same order; sheets in the air stay as they are.
-    findings : tuple of Finding
-        `Code.INSIDE_OUT` where most of the area pointed into the air, `Code.FLIPPED_FACES` for a
-        minority that did not agree with the rest, `Code.SURFACE_NOT_ORIENTABLE` where no
-        orientation is possible.
+def axis_findings(mesh: Mesh) -> tuple[Finding, ...]:
+    """Return a finding where floor and ceiling, by their names, stand upright."""
+    level = np.array([is_level_by_name(s) for s in mesh.surfaces], dtype=np.bool_)
+    sums = np.abs(area_vectors_m2(mesh)[level[mesh.triangle_surface]]).sum(axis=0)
+    if not sums.any() or int(np.argmax(sums)) == 2:
+        return ()
+    names = ", ".join(s.name for s, own in zip(mesh.surfaces, level, strict=True) if own)
+    axis = "xy"[int(np.argmax(sums))]
+    text = (
+        f"{names} should be level and stand upright, across {axis}: another axis of the file "
+        'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.'
+    )
+    return (Finding(Code.AXES_EXCHANGED, About(), text, {"surfaces": names, "axis": axis}),)
+
+
+def examine(mesh: Mesh) -> tuple[Finding, ...]:
+    """Return what is doubtful of the size of a room; serious findings are faults.
+
+    `mesh`: normals out of the air.
     """
-    flip, part, agrees = _agreement(edges_of(mesh), len(mesh.triangles))
-    flip ^= _air_in_front(mesh, part, flip)[part]
-    flip &= ~is_double_sided(mesh)
-    findings = _flip_findings(mesh, flip)
-    if not agrees:
-        sentence = "The faces cannot be oriented: a surface has one side only, as a Moebius strip."
-        findings = (*findings, Finding(Code.SURFACE_NOT_ORIENTABLE, About(), sentence))
-    triangles = mesh.triangles.copy()
-    triangles[flip] = triangles[flip][:, ::-1]
-    return replace(mesh, triangles=triangles), findings
-
-
-def _agreement(edges: Edges, n_triangles: int) -> tuple[BoolArray, IntArray, bool]:
-    """Return which triangles to flip so that neighbours agree, the part of each, and success.
-
-    Edges that more than two triangles share join nothing: which belong together is not known.
-    """
-    neighbours = _neighbours(edges, n_triangles)
-    flip = np.zeros(n_triangles, dtype=np.bool_)
-    part = np.full(n_triangles, -1)
-    n_parts, agrees = 0, True
-    for root in range(n_triangles):
-        if part[root] >= 0:
-            continue
-        part[root] = n_parts
-        waiting = deque([root])
-        while waiting:
-            t = waiting.popleft()
-            for other, differs in neighbours[t]:
-                if part[other] < 0:
-                    part[other] = n_parts
-                    flip[other] = flip[t] ^ differs
-                    waiting.append(other)
-                else:
-                    agrees &= bool(flip[other] == flip[t] ^ differs)
-        n_parts += 1
-    return flip, part, agrees
-
-
-def _neighbours(edges: Edges, n_triangles: int) -> list[list[tuple[int, bool]]]:
-    """Return for each triangle its neighbours and whether the two are oriented differently."""
-    neighbours: list[list[tuple[int, bool]]] = [[] for _ in range(n_triangles)]
-    order = np.argsort(edges.line, kind="stable")
-    count = np.bincount(edges.line) if len(order) else np.zeros(0, dtype=np.int64)
-    shared = order[count[edges.line[order]] == 2].reshape(-1, 2)
-    # neighbours that agree run along their common edge in opposite directions
-    differs = edges.ends[shared[:, 0], 0] == edges.ends[shared[:, 1], 0]
-    for (one, two), d in zip(edges.triangle[shared].tolist(), differs.tolist(), strict=True):
-        neighbours[one].append((two, d))
-        neighbours[two].append((one, d))
-    return neighbours
-
-
-def _air_in_front(mesh: Mesh, part: IntArray, flip: BoolArray) -> BoolArray:
-    """Return for each part whether its normals point to where the room is, shape (n_parts,)."""
-    areas = triangle_areas_m2(mesh)
-    # the largest triangles of each part, as positions in a list sorted by part, then area
-    order = np.lexsort((-areas, part))
-    starts = np.searchsorted(part[order], np.arange(part.max() + 1))
-    rank = np.arange(len(order)) - starts[part[order]]
-    probes = order[(rank < _PROBES) & (areas[order] > 0.0)]
-    normals = area_vectors_m2(mesh)[probes] / areas[probes, None]
-    normals[flip[probes]] *= -1.0
-    middles = corners_m(mesh)[probes].mean(axis=1)
-    in_front = is_inside(mesh, middles + _STEP_M * normals).astype(np.float64)
-    behind = is_inside(mesh, middles - _STEP_M * normals)
-    votes = np.bincount(part[probes], in_front - behind, minlength=int(part.max()) + 1)
-    return np.asarray(votes > 0.0)
-
-
-def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
-    walls = ~is_double_sided(mesh)
-    areas = triangle_areas_m2(mesh)
-    found: list[Finding] = []
-    inside_out = bool(areas[flip].sum() > 0.5 * areas[walls].sum())
-    if inside_out:
-        sentence = "The file is inside out: its normals point into the room. They were turned."
-        found.append(Finding(Code.INSIDE_OUT, About(), sentence, {"flipped": int(flip.sum())}))
-    odd = np.flatnonzero((flip != inside_out) & walls)
-    if len(odd):
-        first = odd[np.argmax(areas[odd])]
-        name = mesh.surfaces[mesh.triangle_surface[first]].name
-        middle_m = corners_m(mesh)[odd].mean(axis=1)
-        spot = place(corners_m(mesh)[first].mean(axis=0))
-        sentence = (
-            f"{len(odd)} triangles of {areas[odd].sum():.3g} m2 were oriented against the rest and "
-            f"were flipped, the largest in {name!r} near {spot}."
-        )
-        found.append(
-            Finding(Code.FLIPPED_FACES, about_points(middle_m), sentence, {"triangles": len(odd)})
-        )
-    return tuple(found)
+    volume = volume_m3(mesh)
+    if not volume > 0.0:
+        what, needed = "the room encloses no volume", "more than 0 m3"
+        hint = "draw floor, ceiling and all walls as faces that enclose the air"
+        return (fault(Code.NO_VOLUME, what, found=f"{volume:.3g} m3", needed=needed, hint=hint),)
+    if 1.0 <= volume <= 1e6:
+        return ()
+    text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
+    return (Finding(Code.UNUSUAL_SIZE, About(), text, {"volume_m3": volume}),)

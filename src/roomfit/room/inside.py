@@ -1,8 +1,7 @@
 """Which points a room encloses, and how far they are from its walls.
 
-One ray or one point against one triangle, in plain float64: slower and simpler than the tracer's
-kernels and independent of them, because it checks rooms. Triangles count on both sides, whatever
-their orientation.
+One point against one triangle, in plain float64: slower and simpler than the tracer's kernels and
+independent of them, because it checks rooms.
 """
 
 from __future__ import annotations
@@ -14,11 +13,10 @@ import numpy as np
 
 from roomfit.base.kernels import kernel
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.room.mesh import Mesh, box_of, corners_m, is_double_sided
+from roomfit.room.mesh import Mesh, corners_m, is_double_sided
 
 Vector: TypeAlias = tuple[float, float, float]
 
-MISSED = -1.0
 _PAIRS_AT_ONCE = 100_000
 
 
@@ -69,17 +67,6 @@ def corner(corners_m: FloatArray, i: int, k: int) -> Vector:
 
 
 @kernel(allocates=False)
-def triangle_at(corners_m: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
-    """Return the three corners of triangle i of an (n, 3, 3) array."""
-    t = corners_m[i]
-    return (
-        (t[0, 0], t[0, 1], t[0, 2]),
-        (t[1, 0], t[1, 1], t[1, 2]),
-        (t[2, 0], t[2, 1], t[2, 2]),
-    )
-
-
-@kernel(allocates=False)
 def deepest(
     corners_m: FloatArray, first: int, stop: int, normal: Vector, x: Vector, least_m: float
 ) -> int:
@@ -103,103 +90,62 @@ def deepest(
     return found
 
 
-@kernel(allocates=False)
-def flight_m(corners_m: FloatArray, i: int, start: Vector, direction: Vector) -> float:
-    """Return the distance along a unit direction to triangle i, or a negative one for a miss [1]_.
-
-    References
-    ----------
-    .. [1] T. Moller, B. Trumbore, "Fast, minimum storage ray/triangle intersection", J. Graphics
-           Tools 2, 21-28 (1997).
-    """
-    a, b, c = triangle_at(corners_m, i)
-    ab, ac = minus(b, a), minus(c, a)
-    h = cross(direction, ac)
-    determinant = dot(ab, h)
-    if determinant == 0.0:
-        return MISSED
-    s = minus(start, a)
-    u = dot(s, h) / determinant
-    if u < 0.0 or u > 1.0:
-        return MISSED
-    k = cross(s, ab)
-    v = dot(direction, k) / determinant
-    if v < 0.0 or u + v > 1.0:
-        return MISSED
-    return dot(ac, k) / determinant
-
-
-# In general position: no drawn wall is parallel to one of them, and an edge is met by at most a
-# few, which the others outvote.
-_N_DIRECTIONS = 15
-_DIRECTIONS = np.random.default_rng(19).normal(size=(_N_DIRECTIONS, 3))
-_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
-
-
 def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     """Return for each point whether the room encloses it, shape (n_points,).
 
-    A ray from a point inside crosses the walls an odd number of times. The majority of 15
-    directions decides, so that edges, corners and small leaks do no harm. Sheets in the air do
-    not count, and orientation does not matter.
+    From a point inside the walls fill the whole solid angle, from one outside none of it: fronts
+    and backs cancel [1]_. Small leaks do no harm, and sheets in the air do not count.
 
     `points_m` has the shape (n_points, 3).
+
+    References
+    ----------
+    .. [1] A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed.
+           Eng. 30, 125-126 (1983).
     """
     walls = corners_m(mesh)[~is_double_sided(mesh)]
     points = _rows(points_m)
-    box = box_of(mesh)
-    if box is not None:  # the kernels take seconds to compile
-        own = (points - box.origin_m) @ box.axes.T
-        return np.asarray(np.all((own > 0.0) & (own < box.lengths_m), axis=1))
-    odd = np.zeros(len(points), dtype=np.int64)
-    for direction in _DIRECTIONS:
-        first, kept, cell = _shafts(walls, points, direction)
-        odd += _odd_crossings(walls, points, cell, first, kept, direction)
-    return np.asarray(2 * odd > _N_DIRECTIONS)
+    turns = np.zeros(len(points))
+    step = max(1, _PAIRS_AT_ONCE // max(len(walls), 1))
+    for k in range(0, len(points), step):
+        a, b, c = np.moveaxis(walls[None] - points[k : k + step, None, None], 2, 0)
+        na, nb, nc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+        ab, bc, ca = (np.sum(x * y, axis=2) for x, y in ((a, b), (b, c), (c, a)))
+        spat = np.sum(a * np.cross(b, c), axis=2)
+        turns[k : k + step] = np.arctan2(spat, na * nb * nc + ab * nc + bc * na + ca * nb).sum(1)
+    return np.asarray(np.abs(turns) > np.pi)
 
 
 def is_in_sight(mesh: Mesh, from_m: FloatArray, to_m: FloatArray) -> bool:
     """Return whether no wall stands between two points of a room.
 
-    Shapes: `from_m, to_m` (3,). An edge that is met counts as a wall; see `flight_m`.
+    Shapes: `from_m, to_m` (3,). An edge that is met counts as a wall.
     """
-    if box_of(mesh) is not None:
-        return True
-    a, b, c = np.moveaxis(corners_m(mesh), 1, 0)
-    ab, ac, s, way = b - a, c - a, from_m - a, to_m - from_m
-    h, k = np.cross(way, ac), np.cross(s, ab)
+    return bool(to_walls_m(corners_m(mesh), from_m[None], to_m - from_m)[0] >= 1.0)
+
+
+def to_walls_m(walls_m: FloatArray, starts_m: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return from points the way to the nearest triangle, in units of a vector, (n_points,)."""
+    a = walls_m[:, 0]
+    ab, ac = walls_m[:, 1] - a, walls_m[:, 2] - a
+    h = np.cross(direction, ac)
     determinant = np.sum(ab * h, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # walls along the way
-        u, v, t = (np.sum(x, axis=-1) / determinant for x in (s * h, way * k, ac * k))
-    struck = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)
-    return not np.any(struck & (determinant != 0.0))
-
-
-def interior_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return up to n random points inside the room, shape (n_found, 3).
-
-    Fewer are found where less than a fiftieth of the bounding box is inside.
-    """
-    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-    found = np.zeros((0, 3))
-    for _ in range(10):
-        tries = rng.uniform(low, high, (5 * n, 3))
-        found = np.concatenate([found, tries[is_inside(mesh, tries)]])
-        if len(found) >= n:
-            break
-    return found[:n]
-
-
-def distance_to_walls_m(mesh: Mesh, points_m: FloatArray) -> FloatArray:
-    """Return the distance of each point from the nearest triangle, sheets included.
-
-    `points_m` has the shape (n_points, 3). The result has the shape (n_points,).
-    """
-    return nearest_triangles(mesh, points_m)[0]
+    met = np.abs(determinant) > 1e-12
+    a, ab, ac, h, determinant = (x[met] for x in (a, ab, ac, h, determinant))
+    s = starts_m[:, None] - a
+    k = np.cross(s, ab)
+    u = np.sum(s * h, axis=2) / determinant
+    v = k @ direction / determinant
+    t = np.sum(k * ac, axis=2) / determinant
+    hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
+    return np.asarray(np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
 
 
 def nearest_triangles(mesh: Mesh, points_m: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return distance in m and index of the triangle nearest to each point, each (n_points,)."""
+    """Return distance in m and index of the triangle nearest to each point, each (n_points,).
+
+    Sheets are included. `points_m` has the shape (n_points, 3).
+    """
     corners, points = corners_m(mesh), _rows(points_m)
     squares, triangle = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
     step = max(1, _PAIRS_AT_ONCE // len(corners))
@@ -228,75 +174,3 @@ def _squares_m2(corners_m: FloatArray, points_m: FloatArray) -> FloatArray:
 
 def _rows(points_m: FloatArray) -> FloatArray:
     return np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
-
-
-def _shafts(
-    walls_m: FloatArray, points_m: FloatArray, direction: FloatArray
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Cut space into square shafts along a direction, about as many as there are walls.
-
-    Returns
-    -------
-    first : int array, shape (n_shafts + 1,)
-    walls : int array, shape (n_entries,)
-        Shaft k is touched by ``walls[first[k]:first[k + 1]]`` at most.
-    shaft : int array, shape (n_points,)
-        The shaft of each point, -1 outside of all walls.
-    """
-    across = np.linalg.svd(direction[None])[2][1:]
-    corners = walls_m @ across.T
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    side = int(np.clip(np.sqrt(len(walls_m)), 1, 512))
-    scale = side / np.maximum(high - low, 1e-9)
-    # a margin of a thousandth of a shaft stays clear of all rounding
-    from_cell = np.clip(np.floor((corners.min(axis=1) - low) * scale - 1e-3), 0, side - 1)
-    to_cell = np.clip(np.floor((corners.max(axis=1) - low) * scale + 1e-3), 0, side - 1)
-    first, walls = _filled(from_cell.astype(np.int64), to_cell.astype(np.int64), side)
-    place = np.floor((points_m @ across.T - low) * scale).astype(np.int64)
-    # on the outermost edge itself a point may round to the next shaft
-    beyond = np.any((place < -1) | (place > side), axis=1)
-    place = np.clip(place, 0, side - 1)
-    return first, walls, np.where(beyond, -1, place[:, 0] * side + place[:, 1])
-
-
-@kernel()
-def _filled(from_cell: IntArray, to_cell: IntArray, side: int) -> tuple[IntArray, IntArray]:
-    """Sort walls into the cells of a grid that their bounding rectangles touch."""
-    first = np.zeros(side * side + 1, dtype=np.int64)
-    for i in range(len(from_cell)):
-        for x in range(from_cell[i, 0], to_cell[i, 0] + 1):
-            for y in range(from_cell[i, 1], to_cell[i, 1] + 1):
-                first[x * side + y + 1] += 1
-    for k in range(side * side):
-        first[k + 1] += first[k]
-    walls = np.zeros(first[-1], dtype=np.int64)
-    filled = first[:-1].copy()
-    for i in range(len(from_cell)):
-        for x in range(from_cell[i, 0], to_cell[i, 0] + 1):
-            for y in range(from_cell[i, 1], to_cell[i, 1] + 1):
-                walls[filled[x * side + y]] = i
-                filled[x * side + y] += 1
-    return first, walls
-
-
-@kernel()
-def _odd_crossings(
-    walls_m: FloatArray,
-    points_m: FloatArray,
-    shaft: IntArray,
-    first: IntArray,
-    walls: IntArray,
-    direction: FloatArray,
-) -> IntArray:
-    """Return 1 for each point from which an odd number of walls lies in the direction, else 0."""
-    odd = np.zeros(len(points_m), dtype=np.int64)
-    ahead = (direction[0], direction[1], direction[2])
-    for p in range(len(points_m)):
-        if shaft[p] < 0:
-            continue
-        crossings = 0
-        for k in range(first[shaft[p]], first[shaft[p] + 1]):
-            if flight_m(walls_m, walls[k], row(points_m, p), ahead) > 0.0:
-                crossings += 1
-        odd[p] = crossings % 2
-    return odd

@@ -1,7 +1,7 @@
 """The surface of a room as triangles that keep the names, groups and materials of their file.
 
-Polygons are cut into triangles, corners welded, edges matched, and volume, area and mean free path
-measured. A fault is a finding so serious that a room cannot be traced.
+Volume, area and mean free path are measured. A fault is a finding so serious that a room cannot be
+traced.
 """
 
 from __future__ import annotations
@@ -248,8 +248,15 @@ def box_of(mesh: Mesh) -> Box | None:
     wall = np.argmax(lies_in, axis=1)
     outwards = np.einsum("ni,ni->n", vectors, axes[wall // 2]) * np.where(wall % 2, 1.0, -1.0)
     whole = np.repeat(np.prod(lengths) / lengths, 2)
-    once = np.allclose(np.bincount(wall, outwards, 6), whole, rtol=1e-3)
-    if np.any(outwards < 0.0) or not once or unmatched(edges_of(mesh)).size:
+    # each wall is covered once, by its area and the second moments of that about its middle
+    own, share = 2.0 * (corners - low) / lengths - 1.0, outwards / whole[wall]
+    total = own.sum(axis=1)
+    moments = np.einsum("nki,nkj->nij", own, own) + total[:, :, None] * total[:, None]
+    of_wall = np.zeros((6, 3, 3))
+    np.add.at(of_wall, wall, share[:, None, None] * moments / 12.0)
+    expected = (1.0 + 2.0 * np.eye(3)[np.arange(6) // 2])[:, None] * np.eye(3) / 3.0
+    once = np.allclose(np.bincount(wall, share, 6), 1.0, rtol=1e-4)
+    if np.any(outwards < 0.0) or not once or not np.allclose(of_wall, expected, atol=1e-4):
         return None
     return Box(low @ axes, axes, lengths, wall)
 
@@ -313,77 +320,3 @@ def weld(points_m: FloatArray) -> IntArray:
     earliest = np.full(n_groups, len(points_m))
     np.minimum.at(earliest, group, first)
     return np.asarray(earliest[group[inverse.reshape(-1)]])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Edges:
-    """Directed edges of the enclosing triangles (sheets in the air are left out).
-
-    An edge on which corners of others stand is split there, so that edges match piece by piece.
-    """
-
-    ends: IntArray  # (n_edges, 2), corner from which and to which each edge runs
-    triangle: IntArray  # (n_edges,), triangle whose border it is
-    line: IntArray  # (n_edges,), equal for edges between the same two corners, of either sense
-
-
-def edges_of(mesh: Mesh) -> Edges:
-    """Return the directed edges, split wherever a corner stands on one within the tolerance."""
-    enclosing = np.flatnonzero(~is_double_sided(mesh))
-    corners = mesh.triangles[enclosing].astype(np.int64)
-    ends: IntArray = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
-    triangle: IntArray = np.repeat(enclosing, 3)
-    lonely = np.flatnonzero(np.bincount(_lines(ends))[_lines(ends)] != 2)
-    if len(lonely):
-        ends, triangle = _split(mesh.vertices_m, ends, triangle, lonely)
-    return Edges(ends, triangle, _lines(ends))
-
-
-def unmatched(edges: Edges) -> IntArray:
-    """Return the indices of edges that no other edge runs along in the opposite direction.
-
-    None are left in a closed, consistently oriented mesh.
-    """
-    if not len(edges.ends):
-        return np.zeros(0, dtype=np.int64)
-    forward = np.where(edges.ends[:, 0] < edges.ends[:, 1], 1, -1)
-    balance = np.bincount(edges.line, forward)
-    return np.flatnonzero(balance[edges.line] * forward > 0)
-
-
-def _lines(ends: IntArray) -> IntArray:
-    if not len(ends):
-        return np.zeros(0, dtype=np.int64)
-    _, line = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    return np.asarray(line.reshape(-1))
-
-
-def _split(
-    vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray
-) -> tuple[IntArray, IntArray]:
-    from scipy.spatial import cKDTree
-
-    posts = np.unique(ends[lonely])
-    tree = cKDTree(vertices_m[posts])
-    pieces, owners = [np.delete(ends, lonely, axis=0)], [np.delete(triangle, lonely)]
-    for edge in lonely:
-        a, b = vertices_m[ends[edge]]
-        near = tree.query_ball_point((a + b) / 2, np.linalg.norm(b - a) / 2)
-        chain = _chain(vertices_m, ends[edge], posts[near])
-        pieces.append(np.stack([chain[:-1], chain[1:]], axis=1))
-        owners.append(np.full(len(chain) - 1, triangle[edge]))
-    return np.concatenate(pieces), np.concatenate(owners)
-
-
-def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray) -> IntArray:
-    """Return the corners along an edge, from its start to its end, both included."""
-    start, end = vertices_m[ends]
-    length = np.linalg.norm(end - start)
-    direction = (end - start) / length
-    from_start = vertices_m[posts] - start
-    along = from_start @ direction
-    aside = np.linalg.norm(from_start - along[:, None] * direction, axis=1)
-    within = (along > WELD_TOLERANCE_M) & (along < length - WELD_TOLERANCE_M)
-    on_edge = (aside < WELD_TOLERANCE_M) & within
-    between = posts[on_edge][np.argsort(along[on_edge])]
-    return np.concatenate([ends[:1], between, ends[1:]])

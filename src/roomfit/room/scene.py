@@ -6,7 +6,6 @@ room is like, whether it can be traced, and whether sources and receivers stand 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -25,15 +24,14 @@ from roomfit.base.arguments import (
     unique_names,
 )
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import Code, Finding
 from roomfit.base.polygon import Surface, place
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.room.check import examine
-from roomfit.room.inside import distance_to_walls_m, is_inside, nearest_triangles
+from roomfit.room.build import axis_findings, examine
+from roomfit.room.inside import is_inside, nearest_triangles
 from roomfit.room.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
-    area_vectors_m2,
     corners_m,
     fault,
     is_double_sided,
@@ -107,6 +105,12 @@ class Room:
             replace(s, surface_material=checked(s.surface_material)) for s in self.states
         )
         object.__setattr__(self, "states", states)
+
+    def __repr__(self) -> str:
+        """Return volume, area, and the area of each material."""
+        size = f"{volume_m3(self.mesh):.2f} m3 and {surface_area_m2(self.mesh):.2f} m2"
+        areas = zip(self.materials, material_areas_m2(self), strict=True)
+        return f"Room of {size}: {', '.join(f'{name} {area:.2f} m2' for name, area in areas)}"
 
 
 def wall_materials(room: Room) -> tuple[str, ...]:
@@ -276,6 +280,10 @@ def room_from_mesh(
         A key matches nothing, or a surface has no material.
     """
     refuse(material_findings(mesh, materials))
+    used, owner = np.unique(mesh.triangle_surface, return_inverse=True)
+    if len(used) < len(mesh.surfaces):  # others were drawn, which bound no air
+        surfaces = tuple(mesh.surfaces[s] for s in used)
+        mesh = replace(mesh, triangle_surface=owner, surfaces=surfaces)
     names = [str(name) for name in surface_materials(mesh.surfaces, materials)]
     order = tuple(dict.fromkeys(names))
     return Room(mesh, order, np.array([order.index(n) for n in names]), shoebox_m)
@@ -312,7 +320,7 @@ def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding
         Code.NO_MATERIAL,
         "surfaces without a material",
         where=f"{name!r} near {place(corners_m(mesh)[first].mean(axis=0))}",
-        found=f"{owners.count(None)} surfaces, {area:.2f} m2",
+        found=f"{len(np.unique(mesh.triangle_surface[bare]))} surfaces, {area:.2f} m2",
         needed="a material for every face",
         hint=f'name it in [room.materials], as in "{name}" = "plaster"',
         points_m=corners_m(mesh)[bare].mean(axis=1),
@@ -329,7 +337,8 @@ def material_areas(mesh: Mesh, materials: Mapping[str, str]) -> dict[str | None,
     per_surface = np.bincount(mesh.triangle_surface, areas, len(mesh.surfaces))
     total: dict[str | None, float] = {}
     for name, area in zip(surface_materials(mesh.surfaces, materials), per_surface, strict=True):
-        total[name] = total.get(name, 0.0) + float(area)
+        if area > 0.0:
+            total[name] = total.get(name, 0.0) + float(area)
     return dict(sorted(total.items(), key=lambda item: -item[1]))
 
 
@@ -354,8 +363,7 @@ class RoomCheck:
     size_m: tuple[float, float, float]  # of the bounding box along x, y and z
     n_triangles: int
     n_surfaces: int
-    closed: bool
-    leak: float | None  # Rays lost per hit of a wall; None where no point inside was found
+    leak: float  # Share of flights from its surfaces that are lost through openings
     material_areas_m2: tuple[tuple[str | None, float], ...]  # Largest first; None: no material
     findings: tuple[Finding, ...]  # Repairs, doubts, and faults, which are the serious ones
 
@@ -373,7 +381,7 @@ def check_mesh(
     Parameters
     ----------
     mesh : Mesh
-        Oriented, see `geometry.build.oriented`.
+        Normals out of the air, see `roomfit.tracing.enclosure.reached`.
     materials : mapping from str to str
         As of `room_from_mesh`.
     earlier : iterable of Finding
@@ -394,7 +402,8 @@ def check_mesh(
     """
     bare = material_findings(mesh, materials)
     upright = axis_findings(mesh)
-    closed, leak, doubts = examine(mesh)
+    earlier = tuple(earlier)
+    leaks = [f.evidence["share"] for f in earlier if f.code in (Code.LEAK, Code.SMALL_LEAK)]
     x, y, z = np.ptp(mesh.vertices_m, axis=0).tolist()
     return RoomCheck(
         volume_m3=volume_m3(mesh),
@@ -403,37 +412,10 @@ def check_mesh(
         size_m=(x, y, z),
         n_triangles=len(mesh.triangles),
         n_surfaces=len(mesh.surfaces),
-        closed=closed,
-        leak=leak,
+        leak=sum(leaks),
         material_areas_m2=tuple(material_areas(mesh, materials).items()),
-        findings=(*earlier, *bare, *upright, *doubts),
+        findings=(*earlier, *bare, *upright, *examine(mesh)),
     )
-
-
-_LEVEL_NAMES = re.compile(
-    r"floor|ceiling|boden|decke|plancher|plafond|(?<![a-z])sol(?![a-z])", re.IGNORECASE
-)
-
-
-def is_level_by_name(surface: Surface) -> bool:
-    """Return whether a name of a surface says floor or ceiling, in English, German or French."""
-    names = (surface.name, surface.group, surface.file_material)
-    return any(_LEVEL_NAMES.search(name) for name in names if name)
-
-
-def axis_findings(mesh: Mesh) -> tuple[Finding, ...]:
-    """Return a finding where floor and ceiling, by their names, stand upright."""
-    level = np.array([is_level_by_name(s) for s in mesh.surfaces], dtype=np.bool_)
-    sums = np.abs(area_vectors_m2(mesh)[level[mesh.triangle_surface]]).sum(axis=0)
-    if not sums.any() or int(np.argmax(sums)) == 2:
-        return ()
-    names = ", ".join(s.name for s, own in zip(mesh.surfaces, level, strict=True) if own)
-    axis = "xy"[int(np.argmax(sums))]
-    text = (
-        f"{names} should be level and stand upright, across {axis}: another axis of the file "
-        'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.'
-    )
-    return (Finding(Code.AXES_EXCHANGED, About(), text, {"surfaces": names, "axis": axis}),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -664,8 +646,10 @@ def position_findings(
         elif not inside[i]:
             measured = f"{distance[i]:.3g} m from the nearest surface, {wall!r}"
             reach = f"the room reaches from {place(low)} to {place(high)}"
-            needed, what = f"a position within the walls; {reach}", "stands outside the room"
+            needed, what = f"a position in the air of the room; {reach}", "stands outside the room"
             hint = "check unit, up axis and origin of the room file against the positions"
+            if np.all((point.position_m > low) & (point.position_m < high)):
+                what = "stands within a body or behind a wall, where no sound of the room comes"
             wrong(Code.POSITION_OUTSIDE, f"{who} {what}", point.position_m, measured, needed, hint)
     for source, receiver in product(sources, receivers):
         apart_m = float(np.linalg.norm(source.position_m - receiver.position_m))
@@ -677,15 +661,10 @@ def position_findings(
     return (*_misread(room, points, inside), *found)
 
 
-def check_points(room: Room, sources: Sequence[Point], receivers: Sequence[Point]) -> None:
-    """Refuse positions in a wall or outside of the room."""
-    refuse(position_findings(room, sources, receivers))
-
-
 def is_clear_of_walls(room: Room, positions_m: FloatArray, distance_m: float) -> BoolArray:
     """Return which positions, (n, 3), are inside and so far from all walls, shape (n,)."""
     clear = is_inside(room.mesh, positions_m)
-    clear[clear] = distance_to_walls_m(room.mesh, positions_m[clear]) >= distance_m - 1e-9
+    clear[clear] = nearest_triangles(room.mesh, positions_m[clear])[0] >= distance_m - 1e-9
     return np.asarray(clear)
 
 

@@ -10,7 +10,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.materials.priors import Scattering
-from roomfit.room.inside import distance_to_walls_m
+from roomfit.room.inside import nearest_triangles
 from roomfit.room.scene import Scene, distances_m, object_pairs
 from roomfit.tracing.image_sources import thinned_images, trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
@@ -105,7 +105,7 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
     A sphere that a wall cuts or that contains the source does not average ``1 / (4 pi r**2)``.
     """
     centres = np.array([r.position_m for r in scene.receivers]).reshape(-1, 3)
-    to_wall = distance_to_walls_m(scene.room.mesh, centres)
+    to_wall = nearest_triangles(scene.room.mesh, centres)[0]
     to_source = np.full(len(centres), np.inf)
     np.minimum.at(to_source, scene.pairs[:, 1], distances_m(scene))
     free = _CLEARANCE * np.minimum(to_wall, to_source)

@@ -150,7 +150,7 @@ def facets_of(room: Room) -> tuple[Facets, FloatArray]:
     second = corners[kept, (apex[kept] + 1) % 3]
     third = corners[kept, (apex[kept] + 2) % 3]
     is_triangle = mate[kept] == kept
-    facets = _facets(first, second, third, is_triangle, sheet[kept], owner[kept])
+    facets = facet_table(first, second, third, is_triangle, sheet[kept], owner[kept])
     fourth = np.where(is_triangle[:, None], first, second + third - first)
     points = np.stack((first, second, third, fourth))
     return facets, np.stack((points.min(axis=0), points.max(axis=0)), axis=1)
@@ -188,7 +188,7 @@ def _parallelograms(
     return apex, mate
 
 
-def _facets(
+def facet_table(
     first: FloatArray,
     second: FloatArray,
     third: FloatArray,
@@ -196,6 +196,7 @@ def _facets(
     sheet: BoolArray,
     owner: IntArray,
 ) -> Facets:
+    """Return facets from three corners of each, the last two beside the first, all (n, 3)."""
     a, b = second - first, third - first
     n = np.cross(a, b)
     square = np.einsum("ij,ij->i", n, n)[:, None]

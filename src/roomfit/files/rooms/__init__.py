@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import check_known, did_you_mean
 from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
-from roomfit.base.polygon import WELD_TOLERANCE_M, area_vector_m2, triangulate
+from roomfit.base.polygon import WELD_TOLERANCE_M
 from roomfit.base.typing import FloatArray
-from roomfit.files.rooms.tables import read_polygons
+from roomfit.files.rooms.tables import plan_model, read_polygons
 from roomfit.files.schema import RoomSpec
 from roomfit.formats.catt import read_catt
 from roomfit.formats.dxf import read_dxf
 from roomfit.formats.ifc import read_ifc
 from roomfit.formats.meshes import read_collada, read_mesh_file, read_obj, read_ply
-from roomfit.formats.model import METRES_PER_UNIT, RoomModel, joined
+from roomfit.formats.model import METRES_PER_UNIT, RoomModel
 from roomfit.formats.roomplan import read_roomplan, read_usdz
-from roomfit.formats.skp import TwoSided, read_skp
-from roomfit.room.build import build_mesh, oriented
-from roomfit.room.inside import is_inside
+from roomfit.formats.skp import read_skp
+from roomfit.room.build import build_mesh
 from roomfit.room.mesh import Mesh, as_shoebox, refuse, shoebox_mesh
 from roomfit.room.scene import Room, check_mesh, room_from_mesh
+from roomfit.tracing.enclosure import reached
 
 READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".obj": read_obj,
@@ -37,14 +38,19 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".ifc": read_ifc,
     ".json": read_roomplan,
     ".usdz": read_usdz,
-    ".skp": lambda path: _inner_sides(*read_skp(path)),
+    ".skp": read_skp,
 }
-_GONE = dict.fromkeys((".ac", ".3ds"), "open it in Blender and save it as OBJ: names are kept")
-_STEP_M = 1e-3  # from a face into the air
+_FOREIGN = {
+    **dict.fromkeys((".ac", ".3ds"), "open it in Blender and save it as OBJ: names are kept"),
+    ".3dm": "a model of Rhino: export it there as OBJ, with polygon meshes",
+    ".poly": "facets of TetGen: write its points as lines v, its facets as lines f of an OBJ file",
+}
 
 
-def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
-    """Read, repair and check a room.
+def read_room(spec: RoomSpec, positions_m: ArrayLike = ()) -> tuple[Room, tuple[Finding, ...]]:
+    """Read and check a room: the air that sound reaches, see `roomfit.tracing.enclosure.reached`.
+
+    `positions_m`, shape (n, 3): of sources and receivers, which choose it where there are several.
 
     Returns
     -------
@@ -67,7 +73,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     >>> room.materials[4], len(findings)
     ('carpet', 0)
     """
-    mesh, built = read_mesh(spec)
+    mesh, built = read_mesh(spec, positions_m)
     findings = check_mesh(mesh, spec.materials, built).findings
     refuse(findings)
     room, box = room_from_mesh(mesh, spec.materials), as_shoebox(mesh)
@@ -75,12 +81,12 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
         return room, findings
     x, y, z = box.vertices_m[-1].tolist()
     # materials stay in the order of the file
-    own = room.surface_material[[mesh.surfaces.index(s) for s in box.surfaces]]
+    own = room.surface_material[[room.mesh.surfaces.index(s) for s in box.surfaces]]
     return Room(box, room.materials, own, (x, y, z)), findings
 
 
-def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
-    """Read a room as far as its mesh, welded, triangulated and oriented, with findings."""
+def read_mesh(spec: RoomSpec, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Finding, ...]]:
+    """Read a room as far as the faces that bound its air, see `read_room`, with findings."""
     lengths = shoebox_lengths_m(spec)
     if lengths is not None:
         with located("[room] shoebox"):
@@ -88,9 +94,10 @@ def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
     model, where = read_model(spec)
     vertices_m = _in_metres(model, spec.unit, spec.up, where)
     _check_size(model, vertices_m, where)
+    _check_origin(vertices_m, where)
     mesh, built = build_mesh(vertices_m, model.faces)
-    mesh, turned = oriented(mesh)
-    return mesh, (*model.findings, *built, *turned)
+    mesh, found = reached(mesh, positions_m)
+    return mesh, (*model.findings, *built, *found)
 
 
 def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
@@ -114,8 +121,10 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
         if spec.polygons is not None:
             own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
             return own, str(spec.polygons.corners[0])
+        if spec.plan is not None:
+            return plan_model(spec.plan, spec.height or 0.0), "[room] plan"
         if suffix not in READERS:
-            hint = _GONE.get(suffix) or did_you_mean(suffix, READERS) or "export the room as OBJ"
+            hint = _FOREIGN.get(suffix) or did_you_mean(suffix, READERS) or "export the room as OBJ"
             what, needed = "a room file of unknown format", f"one of {', '.join(READERS)}"
             found = repr(path.suffix)
             raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
@@ -165,33 +174,19 @@ def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
         tree = cKDTree(distinct)
         near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(distinct)
         check_limit("near_pairs", near, where)
-    rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
-    edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
-    edges = edges[((edges >= 0) & (edges < len(vertices_m))).all(axis=1)]
-    # open: not exactly one other between the same points
-    _, point = np.unique(np.round(vertices_m / WELD_TOLERANCE_M), axis=0, return_inverse=True)
-    ends = np.sort(point.reshape(-1)[edges], axis=1)
-    _, times = np.unique(ends, axis=0, return_counts=True)
-    check_limit("open_edges", int(times[times != 2].sum()), where)
 
 
-def _inner_sides(faces: Sequence[TwoSided], findings: tuple[Finding, ...]) -> RoomModel:
-    """Return faces with the surface of the side which looks into the room; inches."""
-    scale = METRES_PER_UNIT["in"]
-    mesh, _ = build_mesh(*joined([(f.corners_in * scale, f.front) for f in faces]))
-    middles, normals = np.zeros((len(faces), 3)), np.zeros((len(faces), 3))
-    for i, face in enumerate(faces):
-        points = face.corners_in * scale
-        triangles = triangulate(points).triangles
-        if len(triangles):
-            normal = area_vector_m2(points)
-            normals[i] = normal / np.linalg.norm(normal)
-            middles[i] = points[triangles[0]].mean(axis=0)
-    # air before the front, or on neither side
-    is_front = is_inside(mesh, middles + _STEP_M * normals)
-    is_front |= ~is_inside(mesh, middles - _STEP_M * normals)
-    polygons = [
-        (f.corners_in[::-1], f.front) if front else (f.corners_in, f.back)
-        for f, front in zip(faces, is_front, strict=True)
-    ]
-    return RoomModel(*joined(polygons), findings, "in", "z")
+def _check_origin(vertices_m: FloatArray, where: str) -> None:
+    """Refuse map coordinates, which files of seven digits have rounded to millimetres or worse."""
+    low, high = vertices_m.min(axis=0, initial=1e9), vertices_m.max(axis=0, initial=-1e9)
+    off_m = np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)) if vertices_m.size else 0.0
+    if off_m > 1e4:
+        x, y, z = np.round(low)
+        raise InputError(
+            "the drawing stands far from its origin, as on a map",
+            where=where,
+            found=f"{off_m:.6g} m away, with its lowest corner at ({x:.0f}, {y:.0f}, {z:.0f}) m",
+            needed="at most 10000 m",
+            hint="move the drawing to its origin in the program that drew it, export it again, and "
+            "take as much from all positions; or correct the unit",
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +31,6 @@ class Plane(NamedTuple):
     corners: tuple[str, ...]  # numbers of its corners, in order
     material: str | None
     description: str | None
-    double_sided: bool  # the row says "double sided", or has 2 in a column "sides"
     stated_area_m2: float | None  # area that the table gives, for a comparison
     where: str  # file and line
 
@@ -79,8 +78,8 @@ def read_planes(path: Path) -> dict[str, Plane]:
     "area" and "name" or "description" are used where they exist. The corners of a plane end at the
     first cell that is no number, so that notes behind them do no harm. Numbers may be written as
     616.0.
-    A column "sides" may have 1 or 2. Refused are a table without planes, a plane that stands
-    twice, and one with fewer than three corners.
+    Refused are a table without planes, a plane that stands twice, and one with fewer than three
+    corners.
     """
     planes: dict[str, Plane] = {}
     for number, line in _numbered(path, "plane", (_CORNER,)).items():
@@ -90,17 +89,12 @@ def read_planes(path: Path) -> dict[str, Plane]:
             hint = "name its corners in their order, or leave the row out"
             what, found = "a plane has fewer than three corners", f"plane {number}: {len(corners)}"
             raise malformed(what, line.where, found, needed, hint)
-        sides, area = line.cell("sides"), line.cell("area")
-        if sides and _as_number(sides) not in ("1", "2"):
-            hint = "2 where sound strikes both, as of a screen"
-            raise malformed("a plane has one side or two", line.where, sides, "1 or 2", hint)
-        is_sheet = _as_number(sides) == "2" or any("double" in c.lower() for c in line.cells)
+        area = line.cell("area")
         planes[number] = Plane(
             number,
             corners,
             line.cell("material") or None,
             line.cell("name", "description") or None,
-            is_sheet,
             float(area) if _is_finite(area) else None,
             line.where,
         )
@@ -156,8 +150,7 @@ def read_polygons(
             what, needed = "a plane names a corner that does not exist", "one of the corner tables"
             found = f"corner {missing[0]} in plane {plane.number}"
             raise malformed(what, plane.where, found, needed, "add the corner table that holds it")
-        sides = tables.sides.get(plane.number, 2 if plane.double_sided else 1)
-        surface = Surface(plane.number, plane.description, plane.material, sides == 2)
+        surface = Surface(plane.number, plane.description, plane.material)
         faces.append(Face(tuple(index[c] for c in plane.corners), surface))
         stated = plane.stated_area_m2
         own_m = (vertices * scale)[list(faces[-1].corners)]
@@ -203,7 +196,7 @@ def _chosen_planes(tables: PolygonSpec, findings: list[Finding]) -> dict[str, Pl
         planes.update(own)
     dropped = [str(number) for number in tables.drop]
     chosen: dict[str, Iterable[str]] = {"drop": dropped, "replace": tables.replace}
-    for key, numbers in {**chosen, "sides": tables.sides}.items():
+    for key, numbers in chosen.items():
         for number in numbers:
             what, where = "no plane has this number", f"polygons, {key}"
             check_known(what, number, planes, where=where, else_try="write it as it is there")
@@ -241,3 +234,37 @@ def _alike(planes: Mapping[str, Plane], renamed: Collection[str]) -> list[Findin
 def _some(items: list[str]) -> str:
     more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
     return ", ".join(items[:_SHOWN]) + more
+
+
+def plan_model(plan: Sequence[tuple[float, float]], height: float | Sequence[float]) -> RoomModel:
+    """Return upright walls over a floor plan at z = 0 and their ceiling, or a gabled roof.
+
+    Surfaces, each its own material: "wall 1", from the first corner to the second, to "wall n", of
+    the group "walls"; "floor"; "ceiling", or "ceiling 1" and "ceiling 2" beside a ridge between the
+    two highest corners.
+    """
+    n, heights = len(plan), [height] if isinstance(height, int | float) else list(height)
+    if len(heights) not in (1, n) or not all(h > 0.0 for h in heights):
+        what, hint = "the heights do not go with the plan", "give one, or one for each corner"
+        found, needed = f"{heights[:9]} over {n} corners", "1 or as many, all above 0"
+        raise malformed(what, "[room] height", found, needed, hint)
+    top = np.array(heights * n)[:n]
+    low = np.column_stack([plan, np.zeros(n)])
+    level, ring = np.column_stack([plan, np.ones(n)]), tuple(range(n, 2 * n))
+    off = np.abs(level @ np.linalg.lstsq(level, top)[0] - top).max()
+    a, *others = np.flatnonzero(top == top.max()).tolist()
+    roof = [ring]
+    if off > 1e-3 and len(others) == 1:
+        roof = [ring[a : others[0] + 1], (*ring[others[0] :], *ring[: a + 1])]
+    shapes: dict[str, tuple[int, ...]] = {
+        f"wall {i + 1}": (i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)
+    }
+    shapes["floor"] = tuple(range(n))[::-1]
+    names = ["ceiling"] if len(roof) == 1 else ["ceiling 1", "ceiling 2"]
+    shapes |= dict(zip(names, roof, strict=True))
+    faces = tuple(
+        Face(own, Surface(name, {"w": "walls", "f": "floor"}.get(name[0], "ceiling"), name))
+        for name, own in shapes.items()
+    )
+    vertices = np.vstack([low, low + np.outer(top, (0, 0, 1))])
+    return RoomModel(vertices, faces, (), "m", "z")
