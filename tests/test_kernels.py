@@ -33,20 +33,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.room import check, inside
+from roomfit.room import inside
 from roomfit.materials.priors import uniform_scattering
 from roomfit.room.scene import scene_of, shoebox_room
-from roomfit.tracing import rays
+from roomfit.tracing import enclosure, rays
 from roomfit.tracing.trace import TraceSettings, trace
 
 room = shoebox_room((20.0, 15.0, 6.0), "plaster")
 leaning = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # a box needs no rays
-check.examine(replace(room.mesh, vertices_m=room.mesh.vertices_m @ leaning))
+enclosure.reached(replace(room.mesh, vertices_m=room.mesh.vertices_m @ leaning))
 receivers = {f"R{i}": (4.0 + i, 3.0, 1.5) for i in range(12)}
 scene = scene_of(room, {"S": (1.0, 1.0, 1.5)}, receivers)
 settings = TraceSettings(duration_s=0.1, n_rays=500, image_order=1)
 trace(scene, settings, uniform_scattering(("plaster",), 0.3))
-for module in (check, inside, rays):
+for module in (enclosure, inside, rays):
     for name, found in vars(module).items():
         print(name, len(getattr(found, "signatures", ())))
 """
