@@ -6,7 +6,7 @@ A process of its own carries them out (`roomfit.app.jobs`); each says what the c
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.draft import check_unit
 from roomfit.files.encoding import finding_content, numbers_or_null
 from roomfit.files.inputs import check_campaign, positions_m
-from roomfit.files.remedies import advised
+from roomfit.files.remedies import advised, unchosen
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
+from roomfit.files.responses.recordings import UnchosenChannelError
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
 from roomfit.files.rooms import read_mesh
 from roomfit.files.schema import ResponseSpec, RoomSpec
@@ -189,6 +190,9 @@ def _examine(folder: Path, view: dict[str, Any]) -> None:
         for table in recordings_blocks(checked).head:
             if isinstance(table, Table):
                 view["table"] = html_of(replace(table, kind="data"))
+    except UnchosenChannelError as error:
+        view["advised"] = advice_view([unchosen(error)], campaign)
+        view["findings"].append(finding_content(unchosen(error)))
     except RoomfitError as error:
         view["findings"].append(finding_of_error(error))
 
@@ -264,13 +268,8 @@ def look_at_upload(folder: Path, kind: str, file: str) -> None:
                 with project.filled_campaign(folder) as campaign, located(str(path)):
                     check_unit(read_mesh(campaign.room)[0], positions)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
-            try:
-                read_response(ResponseSpec(path, channel=0))
-            except InputError as error:  # perhaps the first channel of several is silent
-                try:
-                    read_response(ResponseSpec(path, channel=1))
-                except InputError:
-                    raise error from None
+            with suppress(UnchosenChannelError):
+                read_response(ResponseSpec(path))
 
 
 def measure(folder: Path, file: str, plan: dict[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from roomfit.files import edits
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import finding_of
 from roomfit.files.inputs import check_campaign, check_room
-from roomfit.files.remedies import advice, advised, changed_since, chosen
+from roomfit.files.remedies import advice, advised, changed_since, chosen, unchosen
+from roomfit.files.responses.recordings import UnchosenChannelError
 from roomfit.files.schema import RoomSpec
 from roomfit.report.blocks import Blocks, Drawing
 from roomfit.report.check import recordings_blocks, room_blocks
@@ -170,9 +171,12 @@ def _remedy(
         findings = [finding_of(one, str(path)) for one in content["findings"]]
         advised_ = advised(findings, campaign, changed=changed_since(content, file))
     else:
-        with shown_progress(_EXAMINING):
-            checked = check_campaign_recordings(campaign, between_hz=between_hz)
-        advised_ = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
+        try:
+            with shown_progress(_EXAMINING):
+                own = check_campaign_recordings(campaign, between_hz=between_hz).findings
+        except UnchosenChannelError as error:
+            own = (unchosen(error),)
+        advised_ = advised((*check_campaign(campaign).findings, *own), campaign)
     remedy = chosen(advised_, wanted)
     change = edits.preview(file, remedy.edits)
     edits.apply(file, change)

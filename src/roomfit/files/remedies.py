@@ -16,9 +16,10 @@ import numpy as np
 from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code, Edit, Finding, Remedy
+from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.files.campaign import Campaign, read_toml
 from roomfit.files.edits import lines_of, stated, value_text
+from roomfit.files.responses.recordings import UnchosenChannelError
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 
 Advice: TypeAlias = Mapping[Code, Sequence[str]]
@@ -56,6 +57,16 @@ def advised(
         if options:
             found[code] = tuple(options.values())
     return found
+
+
+def unchosen(error: UnchosenChannelError) -> Finding:
+    """Return that no channel was chosen as a finding, with each choice as a remedy."""
+    remedies = [
+        Remedy([Edit(("defaults",), "channel", n)], f"channel = {n} for all recordings")
+        for n in range(int(str(error.found).partition(" ")[0]))
+    ]
+    text, about = f"{error.what}: {error.found}.", About(files=[str(error.where)])
+    return Finding(Code.RECORDING_UNUSABLE, about, text, remedies=remedies)
 
 
 def advice(findings: Sequence[Finding], campaign: Campaign) -> Advice:

@@ -274,7 +274,6 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
                     declared, available, unit = int(stated), int(there), "bytes of samples"
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
                 raise ValueError("more numbers than are read from one file, or one of its size")
-            channel = pick("channel", spec.channel, file.channels, "channel")
             samples = file.read(dtype="float64", always_2d=True)
             if unit == "samples":
                 available = len(samples)
@@ -283,6 +282,7 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
                 found, needed = f"{available} {unit}", f"{declared}, by its own header"
                 raise InputError(what, found=found, needed=needed, hint=hint)
             rate_hz = float(file.samplerate)
+            channel = pick("channel", spec.channel, file.channels, "channel")
             return Recording(samples[:, channel].copy(), rate_hz, 0.0, tuple(findings))
     except (soundfile.SoundFileError, RuntimeError, ValueError, OverflowError, MemoryError) as why:
         kind = "WAV" if spec.path.suffix.lower().startswith(".wav") else "FLAC, AIFF or Wave64"

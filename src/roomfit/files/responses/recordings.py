@@ -33,6 +33,10 @@ class Recording:
     findings: tuple[Finding, ...] = ()
 
 
+class UnchosenChannelError(InputError):
+    """A file has several channels, with whose number `found` begins, and none was chosen."""
+
+
 def pick(kind: str, index: int | None, count: int, key: str) -> int:
     """Return the index that was asked for, which must exist; 0 where there is only one."""
     numbers = "0" if count == 1 else f"0 to {count - 1}"
@@ -42,7 +46,10 @@ def pick(kind: str, index: int | None, count: int, key: str) -> int:
         what = f"the file holds several {kind}s and none was chosen"
         found = f"{count} {kind}s, {numbers}"
         hint = f"what holds of all files stands once: {key} = 0 under [defaults]"
-        raise InputError(what, found=found, needed=f"{key} = a number from {numbers}", hint=hint)
+        if key == "channel":
+            hint += f", as roomfit check CAMPAIGN --remedy {Code.RECORDING_UNUSABLE}:1 writes it"
+        error = UnchosenChannelError if key == "channel" else InputError
+        raise error(what, found=found, needed=f"{key} = a number from {numbers}", hint=hint)
     if not 0 <= index < count:
         what, needed = f"the file has no such {kind}", f"{key} = {numbers} ({kind}s count from 0)"
         hint = "look at the file in an editor of sound, and count from 0"
