@@ -132,12 +132,12 @@ def test_a_fit_that_refuses_a_file_names_the_cause_of_all():
     files = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x[: RATE_HZ // 25]))
     with pytest.raises(InputError, match="the decay") as refused:
         measured_findings(files)
-    assert refused.value.hint.startswith("All 12 files began 0.50 s before the sound was emitted")
+    assert refused.value.hint.startswith("All 12 files began 0.50 s before emission")
     few = roomfit.Settings(n_rays=2000, quick=True)
     whole = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x))
     with pytest.raises(RoomfitError, match="one level") as refused:
         roomfit.identify(SCENE, whole, bands=BANDS, settings=few)
-    assert refused.value.hint.startswith("All 12 files began 0.50 s before the sound was emitted")
+    assert refused.value.hint.startswith("All 12 files began 0.50 s before emission")
 
 
 @pytest.mark.parametrize("silence_s", [0.05, 0.2, 1.0, 4.0])

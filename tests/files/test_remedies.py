@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import soundfile
 
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
+from roomfit.cli import main
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.remedies import advice, advised, chosen
 
@@ -174,3 +177,18 @@ def test_lines_that_are_shown_are_those_that_are_written_and_choices_have_number
             chosen(every, wrong)
     own.path.unlink()
     assert advice(found, own) == {}, "an answer is not lost with its campaign"
+
+
+def test_a_channel_that_was_not_chosen_is_chosen_by_a_remedy(tmp_path, capsys):
+    """Of all recordings at once, whichever it is; the command names it, and no channel is taken."""
+    own = campaign_of(tmp_path, ROOM + ROWS)
+    rng = np.random.default_rng(1)
+    for file in files_of(own):
+        decay = rng.normal(size=(12_000, 2)) * np.exp(-np.arange(12_000) / 1600.0)[:, None]
+        soundfile.write(file, np.vstack([np.zeros((200, 2)), decay]), 16_000, subtype="FLOAT")
+    with pytest.raises(SystemExit):
+        main(["check", str(own.path)])
+    assert "--remedy recording-unusable:1" in " ".join(capsys.readouterr().err.split())
+    main(["check", str(own.path), "--remedy", "recording-unusable:2"])
+    chosen_now = read_campaign(own.path, to_fit=False).measurements
+    assert [m.response.channel for m in chosen_now] == [1] * 4

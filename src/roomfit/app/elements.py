@@ -143,8 +143,7 @@ def field(
             # a browser's own field for numbers takes 5,42 for 542 where its language has a point
             checks = {"a number, as 5.42 or 5,42": lambda x: not isinstance(typed(x), str)}
             made = ui.input(validation=checks if is_number else None, **more)
-            made.props("inputmode=decimal" if is_number else "")
-        made.props("outlined dense").style(style)
+        made.props("outlined dense" + " inputmode=decimal" * is_number).style(style)
     if spoken:
         made.props["aria-label"] = spoken
     return made

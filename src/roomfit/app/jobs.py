@@ -254,7 +254,7 @@ def serve_folder(folder: Path, *, host: str, port: int | None, no_browser: bool)
     if host not in ("127.0.0.1", "localhost", "::1"):
         warn(
             f"warning: {host} can be reached from other machines. Whoever has the address with its "
-            "token reads and changes this project, and can have this machine compute; what is sent "
+            "key reads and changes this project, and can have this machine compute; what is sent "
             "is not encrypted."
         )
 

@@ -191,8 +191,8 @@ def _three(what: str, typed: Sequence[Any], where: str = "") -> tuple[float, flo
     """Return three lengths in m that somebody has typed."""
     if len(typed) != 3 or not all(isinstance(x, float | int) and abs(x) < 1e6 for x in typed):
         what, found = f"{what} is three numbers", str(list(typed))[:80]
-        hint = "measure in m, and type it as 5.42 or 5,42"
-        raise InputError(what, where=where, found=found, needed="x, y, z in m", hint=hint)
+        needed, hint = "x, y, z in m", "type them as 5.42 or 5,42"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     x, y, z = (round(float(x), 4) for x in typed)
     return x, y, z
 
@@ -205,12 +205,8 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-
-    def gone(content: Mapping[str, Any]) -> list[Edit]:
-        known = content.get("materials", {})
-        return [Edit(("materials",), name, None) for name in known if name not in used]
-
-    edit(folder, of=gone)
+    known = campaign_content(folder).get("materials", {})
+    edit(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:

@@ -44,10 +44,13 @@ def in_processes(
     times in all. `warm`: done once before the others: compiles what is kept on disk.
     """
     each_bytes = _memory_bytes() // n_workers
-    check_memory(each_bytes, f"--workers {n_workers}", "fewer workers leave more for each")
+    if 0 < each_bytes < LEAST_MEMORY_BYTES:
+        what, where = "a worker has too little memory for a room", f"--workers {n_workers}"
+        found, hint = f"{1e-6 * each_bytes:.0f} MB for each", "fewer workers leave more for each"
+        needed = f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     if warm is not None:
-        message = "%d workers, each with up to %.1f GB of this machine's memory"
-        _LOG.log(_NOTICE, message, n_workers, 1e-9 * each_bytes)
+        _LOG.log(_NOTICE, "%d workers, each with up to %.1f GB", n_workers, 1e-9 * each_bytes)
         list(in_processes([warm], 1))  # where it fails, rooms say why
     waiting, deaths = deque(enumerate(tasks)), Counter[int]()
     busy: dict[Any, tuple[BaseProcess, int, Task]] = {}
@@ -141,12 +144,13 @@ def _completed(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
     try:
         for future in ends:
             number, task, is_second = running.pop(future)
-            if _died(future) and not is_second:
+            end = _end_of(future)
+            if isinstance(end, InsufficientDataError) and not is_second:
                 again = client.submit(task, pure=False)
                 running[again] = number, task, True
                 ends.add(again)
             else:
-                yield number, _end_of(future)
+                yield number, end
     except (CancelledError, OSError) as error:  # also of dask itself, when its scheduler is gone
         what = "the connection to the scheduler is lost"
         hint = "run the same command again: what is done is not done again"
@@ -156,16 +160,12 @@ def _completed(client: Any, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
             client.cancel([*running])
 
 
-def _died(future: Any) -> bool:
-    """Whether all workers that had a task have died."""
-    return future.status == "error" and type(future.exception()).__name__ == "KilledWorker"
-
-
 def _end_of(future: Any) -> Any:
     """Return what a task returned, or the error that it raised."""
-    if _died(future):
-        return _all_died(getattr(future.exception(), "allowed_failures", _MOST_DEATHS - 1) + 1)
-    return future.exception() if future.status == "error" else future.result()
+    error = future.exception() if future.status == "error" else None
+    if type(error).__name__ == "KilledWorker":  # all workers that had it
+        return _all_died(getattr(error, "allowed_failures", _MOST_DEATHS - 1) + 1)
+    return error or future.result()
 
 
 @contextmanager
@@ -201,15 +201,6 @@ def _distributed() -> Any:
         raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
 
 
-def check_memory(limit_bytes: int, where: str, hint: str) -> None:
-    """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit."""
-    if 0 < limit_bytes < LEAST_MEMORY_BYTES:
-        what = "a worker has too little memory for a room"
-        found = f"{1e-6 * limit_bytes:.0f} MB for each worker"
-        needed = f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370"
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
-
-
 def about_this_process() -> dict[str, str]:
     """Return the versions that decide numbers."""
     names = ("roomfit", "numba", "numpy", "scipy")
@@ -230,9 +221,6 @@ def _check_alike(client: Any, scheduler: str) -> None:
             needed="one worker or more",
             hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
         ) from None
-    for address, own in client.scheduler_info(n_workers=-1)["workers"].items():
-        hint = "start it with more: dask worker ADDRESS --memory-limit 2GB"
-        check_memory(int(own.get("memory_limit") or 0), str(address), hint)
     here = about_this_process()
     for address, own in client.run(about_this_process, on_error="return").items():
         there = own if isinstance(own, dict) else {}  # else it cannot load roomfit

@@ -17,7 +17,7 @@ from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 import numba
@@ -42,8 +42,6 @@ from roomfit.report.wording import in_file_name
 
 _LOG = logging.getLogger("roomfit")
 
-# Gives the number and the end of every task as it ends, errors too.
-Pool: TypeAlias = Callable[[Sequence[Callable[[], object]]], Iterator[tuple[int, Any]]]
 # "elsewhere": another run is at it, so that this one has left it
 Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
 ROOMS, FAILURES = "rooms", "failures"
@@ -139,7 +137,7 @@ def identify_rooms(
     campaigns: Sequence[Path],
     out: Path,
     *,
-    carry_out: Pool | None = None,
+    carry_out: partial[Iterator[Any]] | None = None,
     shard: tuple[int, int] = (1, 1),
     quick: bool = False,
     progress: Progress | None = None,
@@ -232,7 +230,7 @@ def identify_room(
 
 
 def _ends(
-    jobs: Sequence[Callable[..., tuple[Status, str]]], carry_out: Pool | None
+    jobs: Sequence[Callable[..., tuple[Status, str]]], carry_out: partial[Iterator[Any]] | None
 ) -> Generator[tuple[int, tuple[Status, str]], None, None]:
     """Do all jobs, here or in other processes; yield the number and the end of each."""
     if carry_out is None:
@@ -361,7 +359,7 @@ def batch_to_folder(
 ) -> tuple[str, int]:
     """Identify rooms, here or on a cluster; return the table, and 2 where one has no answer."""
     paths = campaign_paths(campaigns)
-    carry_out: Pool | None = None
+    carry_out: partial[Iterator[Any]] | None = None
     if scheduler is not None:
         carry_out = partial(on_cluster, scheduler=scheduler, warm=compile_kernels)
     elif workers is not None:

@@ -277,8 +277,7 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
     who = files_in_words(measurements, n_all)
     how = f"are {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
     if abs(late_s) > _LEAD_S:
-        when = "before" if late_s > 0.0 else "after"
-        how = f"began {abs(late_s):.2f} s {when} the sound was emitted"
+        how = f"began {abs(late_s):.2f} s {'before' if late_s > 0.0 else 'after'} emission"
     text = (
         f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'

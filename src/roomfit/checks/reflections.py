@@ -41,8 +41,7 @@ _DIRECTIVITY_SD_DB = 1.0
 # Absorption at the few angles of these reflections differs from the mean over all angles: of one
 # measured absorber by .09 to .31 at 45 degrees (docs/decisions/0031-decay-and-reflections.md).
 _ANGLE_SD = 0.1
-# So many that agree, by their own chi-square, are worth doubting the rest: of measured rooms were
-# one to ten that gave .89 (.46 to 1) for a wall of .17.
+# Of a serious doubt, and of their chi-square: some ten gave .89 (.46 to 1) for a wall of .17.
 _FEWEST, _LEVEL = 8, 0.01
 _SHOEBOX = ("west", "east", "south", "north", "floor", "ceiling")
 

@@ -288,12 +288,9 @@ def compare_onset(
         f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms "
         f"{'later' if apart_m > 0.0 else 'earlier'} "
         f"than the geometry says, which is {abs(apart_m):.2f} m of path"
-    )
-    if onset_s < 0.0:
-        sentence += f", and {-onset_s:.3g} s before it was emitted: the recording began too late"
-    sentence += (
-        ". Check the positions, latency_s, time_zero and whether it is the file of this pair; "
-        "sound that is blocked or that a loudspeaker sends elsewhere arrives late, too."
+        f"{', before it was emitted' * (onset_s < 0.0)}. Check the positions, "
+        "latency_s, time_zero and whether it is the file of this pair; sound that is blocked "
+        "or that a loudspeaker sends elsewhere arrives late, too."
     )
     evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
     files, now = ("measurements", "*"), ["emission"] if is_stated else ["unknown"]

@@ -64,16 +64,8 @@ def checked(recording: Recording, name: str) -> tuple[FloatArray, tuple[Finding,
     would be wrong: every response has some. What stays of an offset makes a step at both ends of
     the file, which low bands take for sound.
     """
-    refuse_useless(recording)
     pressure = recording.pressure
-    if _is_curve(pressure):
-        raise InputError(
-            "the response does not swing: it is energy, an envelope, or levels in dB",
-            found=f"samples from {pressure.min():.3g} to {pressure.max():.3g}, on one side of zero "
-            "or of their end",
-            needed="sound pressure, which swings about zero",
-            hint="export the impulse response itself, neither squared, integrated nor in dB",
-        )
+    refuse_useless(recording, swings=True)
     findings = (*recording.findings, *clipping_findings(pressure, name))
     end = pressure[-max(1, len(pressure) // 4) :]
     mean, peak = float(end.mean()), float(np.abs(pressure).max())
@@ -105,8 +97,11 @@ def _is_curve(pressure: FloatArray) -> bool:
     return abs(float(after.sum())) > _ONE_SIDED * float(np.abs(after).sum())
 
 
-def refuse_useless(recording: Recording) -> None:
-    """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence."""
+def refuse_useless(recording: Recording, *, swings: bool = False) -> None:
+    """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence.
+
+    And what does not swing, as a response does.
+    """
     pressure = recording.pressure
     duration_s = len(pressure) / recording.sampling_rate_hz
     bad = np.flatnonzero(~np.isfinite(pressure))
@@ -125,6 +120,10 @@ def refuse_useless(recording: Recording) -> None:
     elif np.ptp(pressure) <= _SOFTEST:
         what, found = "is silent", f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}"
         needed, hint = "a response, which rises and decays", "another channel may hold it"
+    elif swings and _is_curve(pressure):
+        what, needed = "does not swing: energy, an envelope, levels in dB?", "sound pressure"
+        found = f"{pressure.min():.3g} to {pressure.max():.3g}, on one side of zero or of the end"
+        hint = "export the impulse response itself, neither squared, integrated nor in dB"
     else:
         return
     raise InputError(f"the response {what}", found=found, needed=needed, hint=hint)
