@@ -252,7 +252,8 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         """Return what the data determine of groups of walls in a state of the room."""
         areas_m2, prior = material_areas_m2(scene.room, state)[:n], (mean[:n], law[:, :n, :n])
         own = evidence.absorption[:n], covariance[:, :n, :n], prior, areas_m2
-        return determined(walls, *own, settings.seed, specified[:n])
+        chi2 = np.array([a.chi2_reduced for a in fits.answers])
+        return determined(walls, *own, settings.seed, specified[:n], chi2)
 
     by_rule = intervals.identifiable_by_rule(fits.answers, priors)
     identifiable, groups = judge(by_rule, doubts, priors, measured.bands), of_groups(0)

@@ -204,3 +204,11 @@ def test_a_room_whose_mean_alone_is_known_is_reported_so():
     assert [f.code for f in reported] == [Code.MATERIALS_NOT_SEPARABLE]
     assert "1000 Hz" in reported[0].sentence
     assert not inseparable_findings(names, np.array([1000.0]), np.ones((5, 1), dtype=bool), found)
+    # a hall whose chi-square was 9.6 had a mean "within 1 %", and a quarter wrong
+    own = names, a[:, None], covariance[None], prior, areas, 1
+    (misfit,) = determined(*own, chi2_reduced=np.array([9.6]))
+    assert known[0].combinations[0].determined and not misfit.combinations[0].determined
+    assert "does not explain" in misfit.sentence
+    none = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool),
+                                [misfit.combinations])  # fmt: skip
+    assert none == ()

@@ -19,6 +19,7 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import symmetric_root
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 from roomfit.uncertainty.posterior import band_draws, prior_draws
 
 # A direction of which the data leave this share of the prior spread is not in the data.
@@ -326,12 +327,15 @@ def determined(
     areas_m2: FloatArray,
     seed: int,
     specified: BoolArray | None = None,
+    chi2_reduced: FloatArray | None = None,
 ) -> tuple[Determined, ...]:
     """Return what every band determines, where single materials may not be.
 
+    Of a band that the model does not explain no mean is determined.
+
     Shapes: `absorption` (n_materials, n_bands), `logit_covariance` (n_bands, n_materials,
     n_materials), `logit_prior` (n_materials, n_bands), (n_bands, n_materials, n_materials),
-    `areas_m2` (n_materials,), `specified` (n_materials,).
+    `areas_m2` (n_materials,), `specified` (n_materials,), `chi2_reduced` (n_bands,).
     """
 
     def of_band(band: int) -> Determined:
@@ -342,6 +346,13 @@ def determined(
         rng = np.random.default_rng(seed)
         found = find_combinations(areas_m2, a, covariance, mean, prior, rng, draws=drawn)
         sentence = band_sentence(materials, found, undetermined_groups(covariance, prior))
+        chi2 = 0.0 if chi2_reduced is None else float(chi2_reduced[band])
+        if chi2 > LARGEST_CHI2_REDUCED:
+            found = (replace(found[0], determined=False),)
+            sentence = (
+                f"the model does not explain the data (reduced chi-square {chi2:.1f}): not even the "
+                "mean of the room is determined"
+            )
         return Determined(found, sentence, absorption_shares(areas_m2, a, drawn))
 
     return tuple(in_forks(of_band, range(len(logit_covariance))))
@@ -359,6 +370,7 @@ def inseparable_findings(
     """
     means = np.array([c[0].relative for c in found])
     known = ~identifiable.any(axis=0) & (means <= WITHIN)
+    known &= np.array([c[0].determined for c in found])
     if not known.any() or len(materials) < 2:
         return ()
     bands_hz = centres_hz[known].tolist()
