@@ -179,9 +179,7 @@ def headline(answer: Result, say: Callable[[str], str] = str) -> str:
                 "be used before the findings are resolved."
             )
         if not any(c[0].determined for c in answer.combinations):
-            return say(
-                "The data determine neither the absorption of a material nor the mean of the room."
-            )
+            return say("The data determine neither any material nor the mean of the room.")
         return say(
             "The data do not determine the absorption of any material by itself: the mean of the "
             "room, the groups and what the walls are made of are the answer together."

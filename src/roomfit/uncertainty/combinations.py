@@ -350,8 +350,8 @@ def determined(
         if chi2 > LARGEST_CHI2_REDUCED:
             found = (replace(found[0], determined=False),)
             sentence = (
-                f"the model does not explain the data (reduced chi-square {chi2:.1f}): not even the "
-                "mean of the room is determined"
+                f"the model does not explain the data (reduced chi-square {chi2:.1f}), not even "
+                "the mean of the room is determined"
             )
         return Determined(found, sentence, absorption_shares(areas_m2, a, drawn))
 
