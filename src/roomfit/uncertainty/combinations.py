@@ -381,7 +381,9 @@ def inseparable_findings(
             Code.MATERIALS_NOT_SEPARABLE,
             About(bands_hz=bands_hz, materials=list(materials)),
             f"The data do not tell the {len(materials)} materials apart, only their mean "
-            f"absorption by area, with its 95 % interval to either side, at {listed}.",
+            f"absorption by area, with its 95 % interval to either side, at {listed}. Which of "
+            "them absorbs shows where one is changed and the room measured again, or where it is "
+            "said what they are made of.",
             {"bands_hz": bands_hz, "materials": list(materials)},
         ),
     )
