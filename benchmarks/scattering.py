@@ -11,8 +11,8 @@ specified, fitted (which chooses among eight values by energies), and none. Righ
 what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
 called identifiable, "wrong" how many of these lie outside their interval.
 
---choice    nothing is fitted: which coefficient is assumed where none is specified, and its
-            standard deviation
+--choice    nothing is fitted: which coefficient is assumed where none is specified, and what does
+            as well
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ def main() -> None:
             rng = np.random.default_rng(seed)
             with tempfile.TemporaryDirectory() as folder:
                 found = choice(write_scattering_box(random_plan(rng), walls, Path(folder), rng))
-            print(f"{seed}: {found.value[0]:g} +- {found.sd[0]:g}", flush=True)
+            value, low, high = (x[0] for x in (found.value, found.lower, found.upper))
+            print(f"{seed}: {value:g} ({low:g} to {high:g} do as well)", flush=True)
         return
     print(f"s = {asked.scattering:g}, level {level:g}, model {asked.model}, {asked.rooms} rooms")
     titles = ("median", "90 %", "max", "held", "width", "phi", "sure", "wrong", "null", "s")

@@ -137,9 +137,9 @@ def test_all_bands_say_whether_a_room_decays_as_its_model_does() -> None:
     alone = decay_error_sds([off])[0]
     beside_others = decay_error_sds([off, *[usual] * 5])
     everywhere = decay_error_sds([off] * 6)
-    assert beside_others[0] < 0.3 * alone < 0.3 * everywhere[0]
-    # which is what its data leave open, nearly without a prior
-    np.testing.assert_allclose(everywhere, 0.05, rtol=0.06)
+    assert beside_others[0] < 0.25 * alone < 0.3 * everywhere[0]
+    # which is what its data say, nearly without a prior: 2.5 +- 1 standard deviations of 0.05
+    np.testing.assert_allclose(everywhere, 0.05 * np.hypot(2.5, 1.0), rtol=0.06)
 
 
 def _answer(a: FloatArray, rate: DecayRate) -> BandEstimate:

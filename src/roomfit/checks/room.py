@@ -10,7 +10,7 @@ from roomfit.base.bands import bands_in_words
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.measurements import median_decay_s
-from roomfit.fit.scattering import TRIAL
+from roomfit.fit.scattering import GRID, TRIAL
 from roomfit.fit.trace_plan import scattering_assumed, scattering_remedies
 from roomfit.model.eyring import schroeder_hz
 from roomfit.room.mesh import volume_m3
@@ -43,14 +43,17 @@ def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
     for chosen in evidence.traced.chosen_scattering:
         names = list(chosen.materials)
         if chosen.is_fitted:
-            each = zip(*chosen[:3], strict=True)
-            ranges = ", ".join(f"{n} {s:g} +- {sd:g}" for n, s, sd in each)
-            text = f"Scattering coefficients by likelihood, with standard deviations: {ranges}."
+            each = zip(*chosen[:4], strict=True)
+            ranges = ", ".join(f"{n} {s:g} ({low:g} to {high:g})" for n, s, low, high in each)
+            text = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
             about = About(materials=names)
             yield Finding(Code.SCATTERING_FITTED, about, text, {"materials": names})
             continue
-        reason = f" +- {chosen.sd[0]:g}, by the responses" if chosen.has_data else ""
-        yield scattering_assumed(names, chosen.value[0], reason)
+        value, low, high, reason = chosen.value[0], chosen.lower[0], chosen.upper[0], ""
+        if chosen.has_data:
+            others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
+            reason = f", which explains the responses well ({others})"
+        yield scattering_assumed(names, value, reason)
 
 
 def check_scattering(evidence: Evidence) -> Iterator[Finding]:

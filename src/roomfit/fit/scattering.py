@@ -1,10 +1,10 @@
 """How much the walls of a room scatter: as specified, or as the energies of responses prefer.
 
 Energies are compared in paths of few rays, which are weighed for every coefficient that is tried
-and traced again where few of them would carry the weight. Coefficients to be fitted, and those
-that are unspecified together, take their mean over a grid by evidence, with its spread; and walls
-specified as smooth are tried with a coefficient, which raises a doubt where the data gain much. The
-paths of the final trace get a weight in every band, for scattering and for directivity.
+and traced again where few of them would carry the weight. Coefficients to be fitted take the value
+of the highest likelihood on a grid; unspecified ones take one value together; and walls specified
+as smooth are tried with a coefficient, which raises a doubt where the data gain much. The paths of
+the final trace get a weight in every band, for scattering and for directivity.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from roomfit.base.air import attenuation_per_m
 from roomfit.base.bands import Bands, bands_in_words
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.logit import Z95
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.fit.choice import choose
 from roomfit.fit.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
 from roomfit.model.binned import BinnedPaths, bin_paths
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import energy_terms, with_paths
-from roomfit.model.parameters import Parameters, physical_values
+from roomfit.model.parameters import Parameters
 from roomfit.model.patterns import Directivities, directivity_factors, known_directivities
-from roomfit.model.problem import Objective, Values
+from roomfit.model.problem import Objective
 from roomfit.model.scattering import (
     LEAST_EFFECTIVE_FRACTION,
     effective_sample_size,
@@ -47,13 +49,8 @@ _LOG = logging.getLogger("roomfit")
 ScatteringFit = Callable[[FloatArray], FloatArray]
 
 GRID = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7)
-# Of one value for all that is unspecified, and in the middle bands alone.
-_ASSUMED, _ASSUMED_BANDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5), 2
-# Of twelve boxes that scatter by .05 to .3 errors are then 1.2 times their standard deviations.
-_TEMPERED = 0.45
-# What is expected before: walls are smooth with that probability; else coefficients are log-normal
-# about that median, within that factor two of three times.
-_SMOOTH, _EXPECTED, _WITHIN = 0.2, 0.15, 2.2
+# Half of the 95 % point of chi-square with one degree of freedom.
+_WITHIN_95 = 1.92
 # Coefficients are compared by energies with three windows counted as one, in place of 1.35: where
 # the model is wrong in a way that all windows share, likelihoods claim more than they know.
 _CAUTION = 0.45
@@ -61,6 +58,10 @@ _CAUTION = 0.45
 _MAX_SEPARATE = 3
 # Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
 _FIT_S = 0.3
+
+# For unspecified coefficients: values, middle bands, rays and duration.
+_ASSUMED = (0.05, 0.2, 0.4)
+_ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
 # Walls specified as smooth are tried with this coefficient.
 TRIAL = 0.15
@@ -113,22 +114,21 @@ def choose_scattering(
     grid: Sequence[float] = GRID,
     common: bool = True,
     progress: Progress | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients and their standard deviations, 0 of what is specified.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the coefficients of the highest likelihood, the least and the largest that do as well.
 
-    Both (n_materials, n_bands). First all unknown ones move together over a grid; with
-    ``common=False`` then one after the other, until none moves or two rounds are done. The value is
-    the mean by evidence, of what scatters where the smooth wall is not the likelier of the two.
+    All (n_materials, n_bands), on a grid. First all unknown ones move together; with
+    ``common=False`` then one after the other, until none moves or two rounds are done.
     """
     _LOG.info("choosing the scattering")
     values, unknown = np.array(sorted(set(grid))), np.flatnonzero(fitted)
     sweeps = 0 if common else 2
     n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0
     chosen = np.array(start, dtype=np.float64)
-    sd = np.zeros_like(chosen)
+    lower, upper = chosen.copy(), chosen.copy()
 
     def move(group: IntArray) -> bool:
-        """Give some coefficients together another value; return whether it is far from theirs."""
+        """Move some coefficients together to the best value; return whether that changed them."""
         nonlocal n_done
         total = []
         for value in values:
@@ -138,9 +138,9 @@ def choose_scattering(
             if progress is not None:
                 progress(min(n_done / n_fits, 1.0))
             total.append(float(fit(trial).sum()))
-        value, spread = _mean_by_evidence(values, np.array(total))
-        changed = bool(np.any(np.abs(chosen[group] - value) > 0.5 * spread))
-        chosen[group], sd[group] = value, spread
+        best, alike = choose(values.tolist(), total, _WITHIN_95)
+        changed = bool(np.any(chosen[group] != best))
+        chosen[group], lower[group], upper[group] = best, alike[0], alike[-1]
         return changed
 
     move(unknown)
@@ -150,27 +150,7 @@ def choose_scattering(
             break
     if progress is not None:
         progress(1.0)
-    return chosen, sd
-
-
-def _mean_by_evidence(values: FloatArray, log_evidence: FloatArray) -> tuple[float, float]:
-    """Return the mean of a coefficient and its standard deviation, by likelihoods on a grid."""
-    scatters = values > 0.0
-    some = values[scatters]
-    width = np.gradient(np.log(some)) if some.size > 1 else np.ones(1)
-    z = np.log(some / _EXPECTED) / np.log(_WITHIN)
-    law = np.exp(-0.5 * z**2) * width
-    weights = np.full(values.size, _SMOOTH)
-    weights[scatters] = law / law.sum() * (1.0 if scatters.all() else 1.0 - _SMOOTH)
-    weights *= np.exp(_TEMPERED * (log_evidence - log_evidence.max()))
-    weights /= weights.sum()
-    mean = float(weights @ values)
-    # a value of the grid stands for all that are nearer to it than to others
-    wide = np.where(scatters, np.gradient(values), 0.5 * some[0])
-    sd = float(np.sqrt(weights @ ((values - mean) ** 2 + wide**2 / 12.0)))
-    if weights[~scatters].sum() > 0.5:
-        return 0.0, sd
-    return float(weights[scatters] @ some / weights[scatters].sum()), sd
+    return chosen, lower, upper
 
 
 class ChosenScattering(NamedTuple):
@@ -178,7 +158,8 @@ class ChosenScattering(NamedTuple):
 
     materials: tuple[str, ...]
     value: tuple[float, ...]  # one a material
-    sd: tuple[float, ...]
+    lower: tuple[float, ...]  # least that does as well
+    upper: tuple[float, ...]
     is_fitted: bool  # asked for; otherwise assumed, since nothing was specified
     has_data: bool  # whether responses were compared
 
@@ -193,29 +174,35 @@ def chosen_scattering(
 ) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[ChosenScattering, ...]]:
     """Return the priors with the most likely scattering where it is unspecified or to be fitted.
 
-    And its standard deviation by material, 0 elsewhere. What is unspecified has one coefficient;
-    without responses that of the settings, and then its deviation is as large.
+    And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
+    What is unspecified has one coefficient: that of the settings where it explains the responses as
+    well as the most likely of five, or where there are none; then its deviation is as large.
     """
     n_bands, sd, found = len(measurements.bands), np.zeros(len(priors)), []
     for is_fitted in (False, True):
         own = np.array([k.fit_scattering for k in priors])
         grid: Sequence[float] = GRID
-        until_s, bands = _FIT_S, slice(0, n_bands)
+        value = settings.default_scattering
+        how, bands = (settings.n_scattering_rays, _FIT_S), slice(0, n_bands)
         if not is_fitted:
             own = np.array([k.scattering is None for k in priors]) & ~own
-            grid, until_s = _ASSUMED, _TRIAL_S
+            grid, how = (0.0, *sorted({*_ASSUMED, value})), (_ASSUMED_RAYS, _TRIAL_S)
             first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
             bands = slice(first, min(first + _ASSUMED_BANDS, n_bands))
         if not own.any():
             continue
-        shortened = _shortened(trace_settings, settings.n_scattering_rays, until_s)
+        shortened = _shortened(trace_settings, *how)
         trial = _energy_fit(measurements, priors, settings, shortened, start, bands)
-        value = sd[own] = np.full(np.count_nonzero(own), settings.default_scattering)
+        best = low = high = np.full(np.count_nonzero(own), value)
+        sd[own] = value
         if trial is not None:
-            common = not is_fitted or value.size > _MAX_SEPARATE
+            common = not is_fitted or best.size > _MAX_SEPARATE
             shown = progress if is_fitted else None
             ways = choose_scattering(*trial, own, grid=grid, common=common, progress=shown)
-            value, sd[own] = (x[own, 0].round(3) for x in ways)
+            best, low, high = (x[own, 0] for x in ways)
+            sd[own] = [_grid_sd(grid, *ends) for ends in zip(low, high, strict=True)]
+            if not is_fitted and low[0] <= value <= high[0]:
+                best = np.full(best.size, value)
         elif is_fitted:
             raise InputError(
                 "scattering cannot be fitted without responses",
@@ -225,14 +212,25 @@ def chosen_scattering(
                 hint="write scattering = 0.1, or add recordings",
             )
         names = tuple(k.name for k, is_own in zip(priors, own, strict=True) if is_own)
-        of = dict(zip(names, value.tolist(), strict=True))
+        of = dict(zip(names, best.tolist(), strict=True))
         priors = tuple(
             replace(k, scattering=np.full(n_bands, of[k.name])) if k.name in of else k
             for k in priors
         )
-        both = tuple(value.tolist()), tuple(sd[own].tolist())
-        found.append(ChosenScattering(names, *both, is_fitted, trial is not None))
+        values, least, most = (tuple(x.tolist()) for x in (best, low, high))
+        found.append(ChosenScattering(names, values, least, most, is_fitted, trial is not None))
     return priors, sd, tuple(found)
+
+
+def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
+    """Return the standard deviation of a value known to lie between two of a grid, both included.
+
+    The 95 % interval reaches half of the way to the next values on either side.
+    """
+    values = np.array(sorted(set(grid)))
+    edges = np.concatenate((values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]))
+    first, last = (int(np.argmin(np.abs(values - v))) for v in (lower, upper))
+    return float(edges[last + 1] - edges[first]) / (2.0 * Z95)
 
 
 def tried_scattering(
@@ -312,24 +310,11 @@ def _energy_fit(
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     term = with_paths(found[0], binned, float(air_per_m[band]))
                     fitted = fit_band(Objective(found[1], (term,)), settled_sd=COMPARED_SD)
-                    values, _ = physical_values(found[1], fitted.vector)
-                    lost = _lost_by_rays(term, values)
-                    out[band] = _CAUTION * (fitted.log_likelihood + lost)
+                    out[band] = _CAUTION * fitted.log_likelihood
         return out
 
     default = np.full(len(priors), settings.default_scattering)
     return fit, specified_scattering(known, default, len(own))
-
-
-def _lost_by_rays(term: EnergyTerm, values: Values) -> float:
-    """Return what the noise of the rays costs a log-likelihood in expectation.
-
-    The more walls scatter, the more of the energy is that of rays, and the less likely by that.
-    """
-    parts = term.variance_parts(values)
-    whole = np.sum(list(parts.values()), axis=0)
-    lost = 0.5 * np.log(whole / (whole - parts["rays"]))
-    return float(np.sum(lost / term.correlation_length(values)))
 
 
 def specified_scattering(

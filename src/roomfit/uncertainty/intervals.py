@@ -199,18 +199,21 @@ def widened(answer: gaussian.BandEstimate, covariance: FloatArray) -> gaussian.B
 def decay_error_sds(rates: Sequence[gaussian.DecayRate]) -> FloatArray:
     """Return how far, relatively, each band's rate of decay may be from that of its walls.
 
-    Shape (n_bands,): the standard deviation of the changes after the data. Their prior is a
+    Shape (n_bands,): the root mean square about 0 of the changes after the data. Their prior is a
     mixture: of rooms that decay as their model does in every band, and of such that do not. All
-    bands together say which, so that one band that prefers another rate by chance does not. The
-    answer is not moved: what data prefer is made by anything that early and late windows disagree
-    about, and walls so moved contradict those that are fitted to another state of the same room.
+    bands together say which, so that one band that prefers another rate by chance does not; data
+    that contradict the walls' rate widen their intervals, and data that determine it hardly do.
+    The answer is not moved: what data prefer is made by anything that early and late windows
+    disagree about. No law is taken beyond its own width either: a preferred change of several of
+    these is an extrapolation of first order, and says that something else is wrong.
     """
     information, score = (np.array([r[i] for r in rates])[:, None] for i in (0, 1))
     # of each law: its variance and mean after the data, and how well it predicted them
     variance = 1.0 / (information + DECAY_SDS**-2)
     log_evidence = 0.5 * np.sum(variance * score**2 + np.log(variance / DECAY_SDS**2), axis=0)
     weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
-    return np.sqrt(np.asarray(variance @ weight / weight.sum(), dtype=np.float64))
+    square = np.minimum(variance + (variance * score) ** 2, DECAY_SDS**2)
+    return np.sqrt(np.asarray(square @ weight / weight.sum(), dtype=np.float64))
 
 
 def with_errors_of_all_bands(
