@@ -37,8 +37,8 @@ def campaign(tmp_path_factory):
 
 
 def changed(campaign, known, *texts: str, n_draws: int = 32):
-    few = campaign.with_settings(n_draws=n_draws)
-    return predict(question_of(few, known, [read_change(t) for t in texts]))
+    asked = question_of(campaign, known, [read_change(t) for t in texts])
+    return predict(replace(asked, settings=replace(asked.settings, n_draws=n_draws)))
 
 
 def test_what_is_common_to_both_states_cancels_in_the_change(campaign):

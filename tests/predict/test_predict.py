@@ -47,8 +47,8 @@ def posterior(sd: float = 0.05, bands: Bands = BANDS, names=NAMES) -> Absorption
 def predict_campaign(
     campaign: Campaign, absorption: AbsorptionPosterior, changes=(), *, pairs="all", n_draws: int
 ) -> Predicted:
-    few = campaign.with_settings(n_draws=n_draws)
-    return predict(question_of(few, absorption, changes, Wanted(pairs)))
+    asked = question_of(campaign, absorption, changes, Wanted(pairs))
+    return predict(replace(asked, settings=replace(asked.settings, n_draws=n_draws)))
 
 
 @pytest.fixture(scope="module")

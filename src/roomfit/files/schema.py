@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -661,7 +660,6 @@ class Campaign(Table):
     _path: Path = PrivateAttr(Path())
     _has_room: bool = PrivateAttr(True)
     _findings: tuple[Finding, ...] = PrivateAttr(())
-    _changed: dict[str, Any] = PrivateAttr({})
 
     def model_post_init(self, context: Any, /) -> None:
         """Take where the file lies, and whether it has a room, from what reads it."""
@@ -753,7 +751,7 @@ class Campaign(Table):
         table = self.settings_table.model_dump(exclude_none=True)
         stated: dict[str, Any] = {k: None if v == "auto" else v for k, v in table.items()}
         with located(str(self.path)):
-            found = Settings(
+            return Settings(
                 method=own.method,
                 model=own.model,
                 seed=own.seed,
@@ -762,13 +760,6 @@ class Campaign(Table):
                 temperature_sd_c=self.air_table.temperature_sd_c,
                 **stated,
             )
-            return replace(found, **self._changed)
-
-    def with_settings(self, **changed: Any) -> Campaign:
-        """Return the campaign with some of its `settings` changed."""
-        copied = self.model_copy()
-        copied._changed = {**self._changed, **changed}
-        return copied
 
     def with_rows(
         self, rows: Iterable[MeasurementTable], findings: Iterable[Finding] = ()

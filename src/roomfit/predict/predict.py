@@ -91,10 +91,7 @@ def prepare(
 
 
 @one_blas_thread
-def predict_change(
-    room: ChangingRoom,
-    changes: Sequence[Change] = (),
-) -> Predicted:
+def predict_change(room: ChangingRoom, changes: Sequence[Change] = ()) -> Predicted:
     """Predict a prepared room with changes, as `predict` does.
 
     Bands in which the last change had the same absorption are not evaluated anew.
