@@ -259,12 +259,12 @@ def test_what_a_finding_advises_is_printed_written_and_taken_back(tmp_path, monk
 
 @pytest.mark.slow
 def test_what_an_answer_advises_is_written_by_its_code_and_number(tmp_path, monkeypatch, capsys):
-    """On the terminal, in the report, and in the campaign the same."""
+    """On the terminal with details, and in the campaign the same; the report has no TOML."""
     campaign, out = write_campaign(tmp_path / "own"), tmp_path / "answer"
-    assert run_command(monkeypatch, "identify", campaign, "--quick", "--out", out) == 0
+    assert run_command(monkeypatch, "identify", campaign, "--quick", "--details", "--out", out) == 0
     shown = capsys.readouterr().out
     line = re.search(r"# or (position-uncertainty-assumed:2), (position_sd = \S+) for", shown)
-    assert line and line[0] in (out / "report.html").read_text()
+    assert line and line[2] not in (out / "report.html").read_text()
     assert f"--result {out} --remedy CODE" in shown
     for wanted, words in ((line[1][:-1] + "9", "no finding advises this"), ("none", "--result")):
         assert run_command(monkeypatch, "check", campaign, "--result", out, "--remedy", wanted) == 2

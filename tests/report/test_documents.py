@@ -163,14 +163,13 @@ def test_absorption_and_intervals_are_those_of_the_result(written, book):
 def test_room_parameters_are_those_of_the_result(written, book):
     result = json.loads((written / "result.json").read_text())
     for pair in result["pairs"]:
-        caption = f"{pair['source']} to {pair['receiver']}: predicted minus measured in JND"
-        rows = {row[0].split("\n")[0]: row[1:] for row in tables(book)[caption][1:]}
-        for i, cell in enumerate(rows["T20"]):
-            measured, predicted = map(number, cell.split("\n")[1].split("→"))
-            values = pair["parameters"]["T20_s"]
-            np.testing.assert_allclose(
-                [measured, predicted], [values["measured"][i], values["predicted"][i]], atol=0.00501
-            )
+        (rows,) = (own for name, own in tables(book).items() if "in JND: mean" in name)
+        cells = next(r for r in rows if r[0].startswith(f"{pair['source']} to {pair['receiver']}"))
+        measured, predicted = map(number, cells[rows[0].index("T20")].split("\n")[2].split("→"))
+        values = pair["parameters"]["T20_s"]
+        both = np.array([values["measured"], values["predicted"]], dtype=float)
+        worst = np.nanargmax(np.abs(both[1] / both[0] - 1.0))
+        np.testing.assert_allclose([measured, predicted], both[:, worst], atol=0.00501)
 
 
 @pytest.mark.slow
@@ -180,7 +179,7 @@ def test_headings_tables_and_findings_are_those_of_the_page_in_its_order(written
     styles = ("Title", "Heading 1")
     assert headings == [escape(p.text) for p in book.paragraphs if p.style.name in styles]
     page, shown = read_page(text).tables, tables(book)
-    assert len(page) > 10
+    assert len(page) > 8
     assert set(shown) == set(page)
     for caption, rows in page.items():
         assert len(rows) == len(shown[caption]), caption

@@ -13,7 +13,7 @@ from roomfit.files.results import result_content
 from roomfit.predict.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
 from roomfit.report.answer import report_html
 from roomfit.report.prediction_figures import predicted_decay_figure
-from roomfit.report.tables import error_tables, pair_sections, sti_tables
+from roomfit.report.tables import error_tables, pair_table, sti_tables
 from roomfit.report.wording import DASH
 from roomfit.result import Compared
 
@@ -48,8 +48,7 @@ def test_the_tables_of_the_report_show_the_parameters_and_no_others():
     for names in SUBSETS:
         answer = with_parameters(names)
         expected = [SYMBOLS[n] for n in SYMBOLS if n in names]
-        for _, tables in pair_sections(answer):
-            assert [row[0] for row in texts_of(tables[0])] == expected
+        assert list(pair_table(answer).names[1:]) == expected
         for table in error_tables(answer):
             assert [row[0] for row in texts_of(table)] == expected
 
@@ -62,8 +61,9 @@ ALONE = [*((name, False) for name in SYMBOLS), ("T20_s", True), ("C50_dB", True)
 def test_a_whole_page_and_the_whole_text_of_one_parameter_alone(name, curves):
     answer = with_parameters((name,), curves=curves)
     page = read_page(report_html(answer, SCENE, title=name))
-    pairs = [rows for caption, rows in page.tables.items() if caption.startswith("S1 to R1")]
-    assert [head for rows in pairs for head in rows if head != "parameter"] == [SYMBOLS[name]]
+    (pairs,) = [rows for caption, rows in page.tables.items() if "in JND: mean" in caption]
+    assert pairs.pop("pair") == [[SYMBOLS[name]]]
+    assert {len(cells) for cells in pairs.values()} == {1} and "S1 to R1" in pairs
     assert "Findings" not in str(answer)
 
 

@@ -146,7 +146,7 @@ def test_draws_of_the_split_are_those_of_the_posterior_on_a_grid():
 def test_nothing_measured_says_what_tables_say_and_that_it_is_no_more(folder, monkeypatch, capsys):
     text = CAMPAIGN.partition("[reverberation]")[0]
     (folder / "campaign.toml").write_text(text + "[identify]\nfrom_hz = 500\nto_hz = 1000\n")
-    out = command(monkeypatch, folder, "predict", "--set", "floor=carpet-on-underlay")
+    out = command(monkeypatch, folder, "predict", "--details", "--set", "floor=carpet-on-underlay")
     content = json.loads((out / "predicted.json").read_text())
     codes = [f["code"] for f in content["findings"]]
     assert "from-tables-alone" in codes

@@ -22,9 +22,8 @@ _NAMES = {
     project.MEAN: ("mean of the room, from decay times alone", "What the decay times say"),
 }
 _TIMES_ALONE = (
-    "Decay times give the mean absorption of the room in each of their bands, with its interval, "
-    "and of no wall by itself: that takes recordings and positions, see Measurements. "
-    "What other walls would do is in What if."
+    "Decay times give the mean absorption of the room by band, and of no wall by itself: that takes "
+    "recordings and positions, see Measurements."
 )
 _STALE = "The campaign has changed since this answer was made."
 _OCTAVES = {f: hertz(f) for f in OCTAVES_HZ}
@@ -40,6 +39,7 @@ _WHOLE = {
     "word": "The report as a Word file",
     "excel": "All of it as an Excel workbook",
 }
+_CLIENT = {"client-pdf": "Two pages as PDF", "client-word": "The same as a Word file"}
 _FILES = ("report.html", "absorption.csv", *project.MEAN_FILES)
 
 
@@ -74,8 +74,8 @@ class IdentifyTab(elements.Tab):
             with ui.element("div") as self.stale:
                 elements.findings([{"severity": "warning", "sentence": _STALE}])
             self.stale.set_visibility(False)
-            self.advice = elements.Advice(bench.folder)
             self.answer = ui.element("div").style("width: 100%")
+            self.advice = elements.Advice(bench.folder)
 
     def _start(self, *quick: bool) -> None:
         folder = self.bench.folder
@@ -128,7 +128,7 @@ class ReportTab(elements.Tab):
     """The files of the best answer, and exports that are made when they are asked for."""
 
     name: ClassVar[str] = "Report"
-    files: ClassVar[tuple[str, ...]] = (*project.RESULTS, project.MEAN)
+    files: ClassVar[tuple[str, ...]] = (*project.RESULTS, project.MEAN, project.TREATMENT)
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
@@ -151,7 +151,8 @@ class ReportTab(elements.Tab):
         """Show the files of the best answer."""
         mean = self.bench.folder / project.MEAN / project.MEAN_FILES[-1]
         found = project.best_result(self.bench.folder) or (mean if mean.is_file() else None)
-        if elements.emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
+        client = (self.bench.folder / project.TREATMENT / "client.html").is_file()
+        if elements.emptied(self.answer, found and (found, found.stat().st_mtime_ns, client)):
             self.exported.clear()  # of the answer before
             with self.answer:
                 self._show_answer(found)
@@ -177,6 +178,9 @@ class ReportTab(elements.Tab):
         if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
             return
         self._show_buttons(_WHOLE)
+        if (self.bench.folder / project.TREATMENT / "client.html").is_file():
+            elements.heading("For the client: what to hang where")
+            self._show_buttons(_CLIENT)
         elements.heading("Materials for other programs")
         self._show_buttons(_PROGRAMS)
 

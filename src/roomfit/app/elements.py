@@ -19,7 +19,7 @@ from roomfit.app import project
 from roomfit.app.jobs import Bench
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Edit
-from roomfit.base.table import Cell, Table, Value, html_of
+from roomfit.base.table import Table, Value, html_of
 from roomfit.files import edits
 
 _WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
@@ -231,13 +231,6 @@ def show_table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Value
     markup(f'<div class="scroll" tabindex="0" {region}>{table}</div>')
 
 
-def with_interval(value: float | None, low: float | None, high: float | None) -> Cell:
-    """Return a number with its interval below it."""
-    if value is None:
-        return Cell("-")
-    return Cell(f"{value:.2f}", () if low is None or high is None else (f"{low:.2f}-{high:.2f}",))
-
-
 @contextlib.contextmanager
 def saying_errors(page: Element) -> Iterator[None]:
     """Show what is wrong with the input until somebody closes it, unless the page has gone."""
@@ -269,8 +262,7 @@ class Advice:
         can_undo = edits.undoable(self.file) is not None
         if not emptied(self.place, (advised, can_undo)) or not (advised or can_undo):
             return
-        with self.place, ui.element("div").classes("panel remedies"):
-            heading("What the findings advise")
+        with self.place, ui.expansion("What the findings advise").classes("panel remedies"):
             for entry in advised:
                 self._show_entry(entry)
             if can_undo:
@@ -280,15 +272,16 @@ class Advice:
     def _show_entry(self, entry: Mapping[str, Any]) -> None:
         name, options = str(entry["code"]).replace("-", " "), list(entry["options"])
         text = f"{name[:1].upper()}{name[1:]}" + (f", {entry['n']} times" if entry["n"] > 1 else "")
-        markup(finding_html(entry["severity"], text))
+        # in words: the line that is written stands in the preview
+        words = [str(o["words"]).replace(" = ", " ").replace('"', "") for o in options]
         chosen: dict[str, Any] = {"number": 0}
         with ui.element("div").classes("bar"):
+            markup(finding_html(entry["severity"], text))
             if len(options) == 1:
-                quiet_button(f"Set {options[0]['words']}", partial(self._ask, options[0]))
+                quiet_button(f"Set {words[0]}", partial(self._ask, options[0]))
                 return
-            words = dict(enumerate(option["words"] for option in options))
             wide = "flex: 1 1 16rem; min-width: 0"
-            field(chosen, "number", f"Set, of {name}", words, style=wide)
+            field(chosen, "number", f"Set, of {name}", dict(enumerate(words)), style=wide)
             spoken = f"Set this, of {name}"
             quiet_button("Set this", lambda: self._ask(options[chosen["number"]]), spoken)
 

@@ -69,6 +69,8 @@ _EXPORTS = {
     "excel": "materials-excel.xlsx",
     "pdf": "report.pdf",
     "word": "report.docx",
+    "client-pdf": "client.pdf",
+    "client-word": "client.docx",
 }
 
 
@@ -497,11 +499,12 @@ def listed(folder: Path, kind: str) -> list[Path]:
 
 def export(folder: Path, wanted: str) -> list[str]:
     """Write the best result's materials for another program; return the files, relative."""
-    result = answer_file(folder)
     check_known("no such format", wanted, _EXPORTS)
+    is_client = wanted.startswith("client-")
+    result = folder / TREATMENT / "client.html" if is_client else answer_file(folder)
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
     out = inside(folder, exports / _EXPORTS[wanted])
-    written = export_result(result, wanted, out, overwrite=True)
+    written = export_result(result, wanted.removeprefix("client-"), out, overwrite=True)
     root = Path(os.path.realpath(folder))
     return [Path(os.path.relpath(file, root)).as_posix() for file in written.files]

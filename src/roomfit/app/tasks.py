@@ -35,17 +35,16 @@ from roomfit.files.remedies import changed_since
 from roomfit.files.results import read_result, read_result_content
 from roomfit.files.values import read_decay_times
 from roomfit.predict.changes import Change, read_change
-from roomfit.predict.diffuse import NAME, PreparedField
+from roomfit.predict.diffuse import PreparedField
 from roomfit.predict.predict import ChangingRoom, predict_change, prepare
-from roomfit.predict.prediction import PredictedValue, change_directions, named_values
+from roomfit.predict.prediction import change_directions
+from roomfit.report.html import fragment
+from roomfit.report.predicted import describe
+from roomfit.report.treated import limits_of
 from roomfit.room.scene import material_areas_m2
-from roomfit.signals.iso3382 import ValueName
 from roomfit.treat import campaign as treatments
-from roomfit.treat.question import USUAL_HZ
+from roomfit.treat.question import Target
 
-SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
-"""Parameters that are shown, as far as they are predicted; from decay times alone T30."""
-_SHOWN_WITH = {"T30_s": "T20_s"}  # limits of the one stand in the picture of the other
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
 _FIRST = "# What may be hung where, and what is to be reached: roomfit treat, docs/treat.md\n"
 _ready: dict[Path, tuple[tuple[float, ...], ChangingRoom]] = {}
@@ -63,9 +62,9 @@ def what_if_prepare(folder: Path, doubted: bool = False) -> dict[str, Any]:
     except InsufficientDataError as error:
         return {"refused": f"{error.what[0].upper()}{error.what[1:]}: {error.found}."}
     known = room.absorption
-    limits, fault, bands_hz = [], "", known.bands.centres_hz.tolist()
+    fault, bands_hz = "", known.bands.centres_hz.tolist()
     try:
-        limits = _limits(folder / project.TREATMENT_QUESTION, room)
+        _targets(folder / project.TREATMENT_QUESTION, room)
     except InputError as error:  # which the form says, where it can be put right
         fault = str(error)
     has_result = project.best_result(folder) is not None
@@ -79,7 +78,7 @@ def what_if_prepare(folder: Path, doubted: bool = False) -> dict[str, Any]:
         ),
         "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
         "left_out": " ".join(left_out),
-        "limits": limits,
+        "from_times": not has_result,
         **what_if(folder, [], doubted),
     }
 
@@ -118,52 +117,27 @@ def what_if(folder: Path, changes: list[str], doubted: bool = False) -> dict[str
     said = predicted.findings
     if not isinstance(room, PreparedField):
         said = tuple(f for f in said if f.code is Code.CHANGE_PRIOR_DOMINATED)
+    targets: Sequence[Target] = ()
+    with suppress(InputError):  # the form says it
+        targets = _targets(folder / project.TREATMENT_QUESTION, room)
     return {
         "findings": [
             encoding.finding_content(f) for f in said if f.code is not Code.MATERIALS_CHANGED
         ],
         # what was changed is what the sliders say
         "directions": change_directions(predicted.bands, predicted.mean)[1],
-        "mean": _values(predicted.mean, predicted.sti),
-        "pairs": [
-            {"source": p.source, "receiver": p.receiver, **_values(p.parameters, p.sti)}
-            for p in predicted.pairs
-        ],
+        "shown": fragment(describe(predicted, limits_of(targets)), first=True),
     }
 
 
-def _values(
-    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
-) -> dict[str, dict[str, list[float | None]]]:
-    """Return numbers by parameter: predicted, with their interval, and the same before."""
-    named, shown = named_values(table, sti), {}
-    for name in SHOWN if SHOWN[0] in named else (NAME,):
-        if name in named:
-            value, kinds = named[name], ["predicted", "lower95", "upper95"]
-            shown[name] = {kind: encoding.numbers_or_null(getattr(value, kind)) for kind in kinds}
-            for kind in ("before", "before_lower95", "before_upper95") if value.change else ():
-                shown[name][kind] = encoding.numbers_or_null(getattr(value.change, kind))
-    return shown
-
-
-def _limits(file: Path, room: ChangingRoom) -> list[dict[str, Any]]:
-    """Return the limits of a treatment file, each with the bands in which it holds."""
+def _targets(file: Path, room: ChangingRoom) -> Sequence[Target]:
+    """Return the targets of a treatment file; none where there is no file."""
     if not file.is_file():
-        return []
-    asked = treatments.treat_arguments(
-        file, treatments.read_treatment(file), room.absorption, room.scene
-    )[0]
-    shown_with = {} if isinstance(room, PreparedField) else _SHOWN_WITH
-    return [
-        {
-            "parameter": shown_with.get(t.parameter, t.parameter),
-            "value": float(value),
-            "bands_hz": list(t.bands_hz or USUAL_HZ),
-        }
-        for t in asked["targets"]
-        for value in (t.low, t.high)
-        if np.isfinite(value)
-    ]
+        return ()
+    known, scene = room.absorption, room.scene
+    asked = treatments.treat_arguments(file, treatments.read_treatment(file), known, scene)[0]
+    found: Sequence[Target] = asked["targets"]
+    return found
 
 
 # What to hang where.

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.charts import LABELS, TIMES, chart_svg
 from roomfit.app.elements import (
     BandSlider,
     Tab,
@@ -25,21 +24,22 @@ from roomfit.app.elements import (
     markup,
     quiet_button,
     saying_errors,
-    show_table,
-    with_interval,
 )
 from roomfit.app.jobs import Bench
 from roomfit.app.room_tab import catalogue_words
 from roomfit.base.errors import InputError
-from roomfit.base.table import Value
 from roomfit.files.encoding import written_content
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import OCTAVES_HZ, find_material
-from roomfit.report.wording import count, hertz
+from roomfit.report.wording import count, hertz, parameter
 
 _PREPARE_S = 900.0  # a change may need it, too, where the process was started again
 _MOST_ROWS = 100
-_NO_STI = "STI takes all octaves from 125 Hz to 8 kHz: choose them in Identify. "
+_TIMES = "T30_s"  # what decay times alone give
+_LABELS = {
+    name: " in ".join(filter(None, (parameter(name).symbol, parameter(name).unit)))
+    for name in (_TIMES, "T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
+}
 _HIDDEN = ("standard", "value", "tolerance")  # of a target: kept and stated, not edited
 _ODDS = {p: f"{100 * p:.0f} %" for p in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)}
 _FIELD = "width: 7.5rem"
@@ -105,7 +105,7 @@ class Changes:
 
 
 class WhatIfTab(Tab):
-    """Changes of materials, and a chart of each room parameter that follows them."""
+    """Changes of materials, and below them the answer, which follows them."""
 
     name: ClassVar[str] = "What if"
     files: ClassVar[tuple[str, ...]] = (
@@ -124,7 +124,6 @@ class WhatIfTab(Tab):
         # also where the result is seriously doubted; to which material the sliders belong, and what
         # it becomes; what sounds, "" the responses themselves
         self.asked: dict[str, Any] = {"doubted": False, "material": "", "entry": None, "dry": ""}
-        self.targets: dict[str, Any] = {}  # by parameter, as typed
         self.worker = bench.what_if  # the process that has the room ready
         self.room: dict[str, Any] = {}  # as it was prepared last
         self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
@@ -137,14 +136,8 @@ class WhatIfTab(Tab):
                 with ui.element("div").classes("panel"):
                     self.choices = ui.element("div").classes("bar")
                     self.sliders = ui.element("div")
-                    self.aims = ui.element("div")
-                with ui.element("div").classes("charts").style("margin: 0.75rem 0"):
-                    self.pictures = {name: markup("").classes("panel") for name in LABELS}
+                self.shown = markup("").classes("panel answer").style("margin: 0.75rem 0")
                 self.said = ui.element("div")
-                text = "Every pair in numbers"
-                self.pairs = ui.expansion(text, on_value_change=lambda: self._draw_pairs())
-                with self.pairs.classes("panel"):
-                    self.numbers = ui.element("div")
                 self.sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
             self.treatment = TreatmentForm(bench, lambda: bool(self.asked["doubted"]))
         self.both.set_visibility(False)
@@ -182,10 +175,9 @@ class WhatIfTab(Tab):
         self.treatment.place.set_visibility(found["treatment"] is not None)
         if found["treatment"] is not None:
             self.treatment.show(found["treatment"])
-        for of_pairs in (self.pairs, self.sounds):
-            of_pairs.set_visibility(TIMES not in found["mean"])
+        self.sounds.set_visibility(not found["from_times"])
         self._draw_sounds()
-        self._draw_controls([n for n in LABELS if n in found["mean"]])
+        self._draw_controls()
         self.predicted = found
         self.draw()
         if self.changes.chosen:
@@ -226,13 +218,13 @@ class WhatIfTab(Tab):
         finally:
             self.is_busy = False
 
-    # Which material is changed, into what, and the targets that the charts show as lines.
+    # Which material is changed, and into what.
 
-    def _draw_controls(self, parameters: Sequence[str]) -> None:
+    def _draw_controls(self) -> None:
         found = self.changes.found
         if self.asked["material"] not in found:
             self.asked["material"] = next(iter(found))
-        if not emptied(self.choices, (self.changes.bands_hz, found, parameters)):
+        if not emptied(self.choices, (self.changes.bands_hz, found)):
             return
         with self.choices:
             wide = "width: 14rem"
@@ -245,14 +237,6 @@ class WhatIfTab(Tab):
                 with_input=True, clearable=True,
             )  # fmt: skip
             quiet_button("Undo all changes", self._reset)
-        if emptied(self.aims, parameters):
-            with self.aims:
-                heading("Targets, as lines in the pictures")
-                with ui.element("div").classes("bar"):
-                    for name in parameters:
-                        label, wide = LABELS[name], "width: 8rem"
-                        made = field(self.targets, name, label, style=wide, then=self.draw)
-                        made.props("clearable")
         self._draw_sliders()
 
     def _draw_sliders(self) -> None:
@@ -303,51 +287,20 @@ class WhatIfTab(Tab):
     # What was predicted.
 
     def draw(self) -> None:
-        """Draw what was predicted last, with the limits as they are now."""
+        """Show what was predicted last."""
         view = self.predicted
         if view is None:
             return
-        bands_hz = self.room["bands_hz"]
-        for name, picture in self.pictures.items():
-            picture.set_visibility(name in view["mean"])
-            if name in view["mean"]:
-                limits = [x for x in self.room["limits"] if x["parameter"] == name]
-                if isinstance(self.targets.get(name), float | int):
-                    limits.append({"value": self.targets[name], "bands_hz": bands_hz})
-                picture.set_content(chart_svg(view, name, bands_hz, limits))
-        self._draw_pairs()
+        self.shown.set_content(view["shown"])
         said = [*view["findings"]]
         if view["directions"]:
             said.append({"severity": "info", "sentence": view["directions"]})
         if emptied(self.said, said):
             with self.said:
                 findings(said)
-        changed = f"{count(len(self.changes.chosen), 'material')} changed. "
-        if TIMES in view["mean"]:
-            text = f"From decay times alone, {changed}Line: T30 of the room with its 95 % interval;"
-            self.note.set_text(f"{text} dashed: as it is now; red: limits.")
-            return
-        self.note.set_text(
-            f"{count(len(view['pairs']), 'pair')}, {changed}"
-            "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
-            f"thin: each pair; red: limits. {'' if 'STI' in view['mean'] else _NO_STI}"
-            f"{self.room['left_out']}".rstrip()
-        )
-
-    def _draw_pairs(self) -> None:
-        view, bands_hz = self.predicted, self.room.get("bands_hz", [])
-        if not self.pairs.value or view is None or not emptied(self.numbers, view["pairs"]):
-            return
-        rows: list[list[Value]] = []
-        for pair in view["pairs"][:_MOST_ROWS]:
-            for name in (n for n in LABELS if n in view["mean"]):
-                own = (pair[name][kind] for kind in ("predicted", "lower95", "upper95"))
-                cells: list[Value] = [with_interval(*three) for three in zip(*own, strict=True)]
-                cells += [""] * (len(bands_hz) - len(cells))  # the index is of all bands together
-                rows.append([f"{pair['source']} to {pair['receiver']}", LABELS[name], *cells])
-        heads = ["Pair", "Parameter", *(hertz(f) for f in bands_hz)]
-        with self.numbers:
-            show_table("Where a measurement is expected, 95 of 100 times", heads, rows)
+        alone = "From decay times alone, " if self.room["from_times"] else ""
+        changed = count(len(self.changes.chosen), "material")
+        self.note.set_text(f"{alone}{changed} changed. {self.room['left_out']}".rstrip())
 
     # What the changes sound like, as responses or by a dry recording.
 
@@ -541,8 +494,8 @@ class TreatmentForm:
             ui.label(", ".join([str(target.get("parameter", "")), *stated]).lstrip(", "))
             return
         own = target.setdefault("parameter", "T30_s")
-        names = [TIMES] if self.room["from_times"] else list(LABELS)
-        words = {name: LABELS.get(name, name) for name in dict.fromkeys([*names, own])}
+        names = [_TIMES] if self.room["from_times"] else list(_LABELS)
+        words = {name: _LABELS.get(name, name) for name in dict.fromkeys([*names, own])}
         field(target, "parameter", f"Target {number}", words, style="width: 9rem")
         for key, word in (("at_least", "At least"), ("at_most", "At most")):
             field(target, key, word, style=_FIELD, spoken=f"{word}, target {number}")
@@ -561,14 +514,14 @@ class TreatmentForm:
 
     def _show_answer(self, sentence: str) -> None:
         files = project.listed(self.bench.folder, project.TREATMENT)
-        found = {f: escape(file_address(f)) for f in files}
+        found = {file.name: escape(file_address(file)) for file in files}
         if not emptied(self.answer, (sentence, found)):
             return
         with self.answer:
-            if sentence:
-                heading("The cheapest that was found", 3)
+            if "treatment.html" in found:
+                address = found["treatment.html"]
+                markup(f'<iframe class="report" title="Treatment" src="{address}"></iframe>')
+            elif sentence:
                 ui.label(sentence)
-            for file in sorted(found, key=lambda file: file.suffix != ".svg"):  # pictures first
-                shown = f'<img alt="{escape(file.stem)}" src="{found[file]}" width="100%">'
-                link = f'<a href="{found[file]}&save=1">{escape(file.name)}</a>'
-                markup(shown if file.suffix == ".svg" else link)
+            links = (f'<a href="{x}&save=1">{escape(name)}</a>' for name, x in found.items())
+            markup(", ".join(links))

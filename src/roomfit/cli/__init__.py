@@ -76,6 +76,8 @@ def _carried_out(options: argparse.Namespace) -> int:
     no = ("call", "quiet", "verbose", "threads", "edited")
     own = {name: value for name, value in vars(options).items() if name not in no}
     place, doing, files = options.call
+    if doing:  # else the command itself shows its answer
+        own.pop("details", None)
     module, _, name = place.rpartition(".")
     if getattr(options, "edited", False):
         from roomfit.files.encoding import EditedFile  # needs numpy, as `text` does
@@ -99,10 +101,9 @@ def _carried_out(options: argparse.Namespace) -> int:
         raise InputError(what, found=found, needed="the extra app", hint=hint) from error
     said, code = found if isinstance(found, tuple) else (found, 0)
     if said is not None:
-        from roomfit.report.blocks import Blocks
-        from roomfit.report.text import text
+        from roomfit.report.text import shown_text
 
-        say(text(said) if isinstance(said, Blocks) else said)
+        say(shown_text(said, details=getattr(options, "details", True)))
     if files and own["out"] is not None:
         say(f"\n{files.format(**own)}")
     return int(code)

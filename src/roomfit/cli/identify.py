@@ -24,7 +24,7 @@ from roomfit.files.results import check_disk_room, write_result
 from roomfit.fit.measurements import measured_scene
 from roomfit.identify import identify
 from roomfit.report.answer import result_blocks
-from roomfit.report.blocks import Blocks
+from roomfit.report.blocks import Blocks, in_its_language
 from roomfit.report.doubts import remaining_usable
 from roomfit.report.html import page
 from roomfit.report.progress import shown_progress
@@ -34,16 +34,16 @@ from roomfit.result import Result
 _LOG = logging.getLogger("roomfit")
 
 
-def run(*, campaign_file: Path, out: Path, **how: Any) -> None:
-    """Identify, and say the answer before anything is drawn."""
+def run(*, campaign_file: Path, out: Path, details: bool = False, **how: Any) -> None:
+    """Identify, and say the answer, or all of its details, before anything is drawn."""
     with ExitStack() as line:
 
         def show(answer: Blocks, *, advised: bool) -> None:
             line.close()  # that of the progress
             # a reader who has gone, or a full disk, is met again at the end, with all files written
             with suppress(OSError):
-                say(text(answer))
-                if advised:
+                say(text(answer, details=details))
+                if advised and details:
                     say(how_to_write(campaign_file, out))
                 sys.stdout.flush()
 
@@ -95,6 +95,7 @@ def identify_to_folder(
     if answered is not None:
         answered(shown, advised=bool(advised))
     _LOG.info("drawing")
+    shown = in_its_language(shown)
     with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs, remaining_usable(answer))
         whole_files.write_text_atomically(folder / "report.html", page(shown))

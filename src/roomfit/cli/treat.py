@@ -16,13 +16,16 @@ from roomfit.design.output import chosen_positions, write_design
 from roomfit.design.positions import Design, design
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import ResultFile
+from roomfit.files.inputs import project_details
 from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
 from roomfit.predict.changes import Change
 from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.report import designed
+from roomfit.report.blocks import in_its_language
 from roomfit.report.html import page
-from roomfit.report.treated import describe, treatment_sentence
+from roomfit.report.treated import client_blocks, describe, treatment_sentence
+from roomfit.report.wording import count
 from roomfit.room.scene import wall_materials
 from roomfit.treat.arrangements import Treatment, treat
 from roomfit.treat.campaign import hardest_changes, read_treatment, treat_arguments
@@ -42,10 +45,12 @@ def treat_to_folder(
     *,
     wanted: Wanted | None = None,
     overwrite: bool = False,
-    png: bool = False,
     progress: Progress | None = None,
 ) -> Treatment:
-    """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder."""
+    """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder.
+
+    And client.html, two pages that `roomfit export` makes PDF, and with these pictures Word, of.
+    """
     whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
@@ -72,14 +77,27 @@ def treat_to_folder(
     if found is not None and question.field is None:
         to_measure = _what_to_measure(campaign, found, answer, part(progress, 0.9, 1.0))
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
-    shown = describe(answer)
+    project = project_details(campaign.project, campaign.path.parent)
+    shown = in_its_language(replace(describe(answer), language=project.get("language", "en")))
     with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures  # matplotlib: not before it draws
 
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
         whole_files.write_text_atomically(folder / "treatment.html", page(shown))
-        write_pictures(folder, shown, png_too=png)
+        write_pictures(folder, shown, png_too=True)
+        own = client_blocks(answer, project, _measured(campaign))
+        whole_files.write_text_atomically(folder / "client.html", page(own))
     return answer
+
+
+def _measured(campaign: Campaign) -> str:
+    """Return what was measured, in words."""
+    pairs = [(m.source, m.receiver) for m in campaign.measurements]
+    if not pairs:
+        return "nothing" if campaign.reverberation is None else "decay times"
+    sources, receivers = (len(set(own)) for own in zip(*pairs, strict=True))
+    all_ = ((len(pairs), "measurement"), (sources, "source"), (receivers, "receiver"))
+    return ", ".join(count(*one) for one in all_)
 
 
 # Of two pairs among few: the best of 200 leave intervals a tenth narrower at most, in 36 s not 6.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -22,8 +22,8 @@ from roomfit.report.blocks import (
     Sentence,
     Terms,
 )
-from roomfit.report.doubts import disagreement_table, remaining_usable
-from roomfit.report.html import page, translator
+from roomfit.report.doubts import disagreement_table, remaining_usable, serious_lines
+from roomfit.report.html import page
 from roomfit.result import ComparedPair, Result
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Scene, wall_materials
@@ -92,7 +92,7 @@ def describe(answer: Result) -> Blocks:
 
 def draw(answer: Result) -> Figure:
     """Return the absorption of every material over frequency."""
-    return _absorption_drawing(answer, str).figure
+    return _absorption_drawing(answer).figure
 
 
 def result_blocks(
@@ -112,33 +112,39 @@ def result_blocks(
     """
     about = dict(project or {})
     language, logo = about.pop("language", "en"), about.pop("logo", "")
-    say = translator(language)
-    usable = remaining_usable(answer)
-    first = [*usable, headline(answer, say)]
-    head: list[Block] = [Sentence(x, "usable" if i else "lead") for i, x in enumerate(first)]
-    head += [Numbers(key_figures(answer, say)), *_decay_times(answer, say)]
+    void, *usable = remaining_usable(answer) or ("",)
+    first = [Sentence(void, "lead"), Sentence(headline(answer), "usable")]
+    head: list[Block] = [
+        *(first if void else [Sentence(headline(answer), "lead")]),
+        Numbers(key_figures(answer)),
+        *_decay_times(answer),
+        tables.answer_table(answer),
+        Listed(serious_lines(answer.findings)),
+        Sentence(_next_step(answer)),
+    ]
     blocks: list[Block] = [
         Findings(answer.findings, advice or {}),
-        Part("Absorption", tuple(_absorption(answer, say)), "absorption"),
+        *map(Sentence, usable),
+        Part("Absorption", tuple(_absorption(answer)), "absorption"),
         Part("Measured and predicted", tuple(_predictions(answer, scene)), "predictions"),
     ]
     if scene is not None:
         blocks.append(Part("The room", _room(scene), "room", in_text=False))
     if answer.plan:
         words = "The plan in words: no recording tells it from its mirror image"
-        blocks.append(Part(words, (Listed(answer.plan),), folded=True))
+        blocks.append(Part(words, (Listed(answer.plan),), folded=True, on_paper=False))
 
-    def folded(heading: str, name: str, words: str, shown: Iterable[Block], **more: bool) -> None:
-        blocks.append(Part(heading, tuple(shown), name, words, folded=True, in_text=False, **more))
+    def folded(heading: str, name: str, words: str, shown: Iterable[Block]) -> None:
+        blocks.append(Part(heading, tuple(shown), name, words, folded=True, in_text=False))
 
-    folded("How sure", "certainty", "the fit, the uncertainty budget", _certainty(answer))
+    words = "how well the model explains what was measured"
+    folded("How sure", "certainty", words, (*tables.fit_tables(answer), Sentence(_PHI, "note")))
     if scene is not None:
         areas: list[Block] = [Sentence(_AREAS), *tables.area_tables(answer, scene)]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
         folded("Absorption areas", "areas", words, areas)
-    few = len(answer.pairs) <= _MOST_DECAY_FILES
     words = "every room parameter, measured and predicted"
-    folded("Pair by pair", "pairs", words, _pairs(answer, few=few), on_paper=few)
+    folded("Pair by pair", "pairs", words, _pairs(answer))
     if scene is not None:
         words = "how the answer was made, and from which files"
         made = _provenance(answer, scene, campaign, inputs_sha256 or {})
@@ -153,6 +159,10 @@ def result_blocks(
     )
 
 
+_PHI = (
+    "φ is chi-square over degrees of freedom. Where it is above 2 the model does not explain the "
+    "data, and no coefficient counts as identifiable."
+)
 _AREAS = (
     "Absorption coefficient times area, summed over the surfaces, and what the air absorbs. "
     "Brackets: the coefficient is not identifiable; the sum is known better than its parts. A "
@@ -163,58 +173,43 @@ _AREAS = (
 # ---------------------------------------------------------------- the first screen
 
 
-def headline(answer: Result, say: Callable[[str], str] = str) -> str:
-    """Return the answer in one sentence: how many coefficients are determined, and how well.
-
-    `say` translates sentences before names and numbers are put in.
-    """
+def headline(answer: Result) -> str:
+    """Return the answer in one sentence: how many coefficients are determined, and how well."""
     is_fixed = tables.fixed_coefficients(answer)
     sure, wanted = answer.identifiable & ~is_fixed, ~is_fixed
     if not wanted.any():
-        return say("Every coefficient was given; nothing was fitted.")
+        return "Every coefficient was given; nothing was fitted."
     if not sure.any():
         if any(f.code.voids_identifiability for f in answer.findings):
-            return say(
+            return (
                 "The data contradict the description of the room: no absorption coefficient may "
                 "be used before the findings are resolved."
             )
-        if not any(c[0].determined for c in answer.combinations):
-            return say("The data determine neither any material nor the mean of the room.")
-        return say(
+        if not tables.known_means(answer).any():
+            return "The data determine neither any material nor the mean of the room."
+        return (
             "The data do not determine the absorption of any material by itself: the mean of the "
             "room, the groups and what the walls are made of are the answer together."
         )
     everywhere = np.ones(len(answer.bands), dtype=np.bool_)
     half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
-    text = say(
-        "The measurements determine {found} of {wanted} absorption coefficients of {materials}, "
-        "{bands}, half of them to within ±{half}"
-    ).format(
-        found=int(sure.sum()),
-        wanted=int(wanted.sum()),
-        materials=wording.count(len(answer.materials), "material")
-        if say is str
-        else f"{len(answer.materials)} {say('materials')}",
-        bands=_in_language(wording.band_ranges(answer.bands.centres_hz, everywhere), say),
-        half=wording.number(half, 2 if half >= 0.0095 else 3),
+    text = (
+        f"The measurements determine {int(sure.sum())} of {int(wanted.sum())} absorption "
+        f"coefficients of {wording.count(len(answer.materials), 'material')}, "
+        f"{wording.band_ranges(answer.bands.centres_hz, everywhere)}, half of them to within "
+        f"±{wording.number(half, 2 if half >= 0.0095 else 3)}"
     )
     open_ = [
-        f"{name} ({_in_language(_where(answer, missing), say)})"
+        f"{name} ({_where(answer, missing)})"
         for name, missing in zip(answer.materials, wanted & ~sure, strict=True)
         if missing.any()
     ]
     if open_:
         named = open_[:_MOST_OPEN]
         if len(open_) > _MOST_OPEN:
-            named.append(f"{len(open_) - _MOST_OPEN}{say(' more')}")
-        text += say("; not determined: {names}").format(names=", ".join(named))
+            named.append(f"{len(open_) - _MOST_OPEN} more")
+        text += f"; not determined: {', '.join(named)}"
     return f"{text}."
-
-
-def _in_language(words: str, say: Callable[[str], str]) -> str:
-    for small in (" to ", " and ", " of ", " bands"):
-        words = words.replace(small, say(small))
-    return words
 
 
 def _where(answer: Result, found: BoolArray) -> str:
@@ -224,44 +219,75 @@ def _where(answer: Result, found: BoolArray) -> str:
     return wording.band_ranges(answer.bands.centres_hz, found)
 
 
-def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[str, str], ...]:
-    """Return the mean of the room and the error of its decay time, and what they are."""
-    middle = int(np.argmin(np.abs(np.log2(answer.bands.centres_hz / 1000.0))))
+def _next_step(answer: Result) -> str:
+    """Return what to do with the answer, in a sentence."""
+    if any(f.severity == "serious" for f in answer.findings):
+        return "Next: cure what is serious, and identify again."
+    rows = zip(answer.materials, answer.identifiable.tolist(), strict=True)
+    open_ = [name for name, sure in rows if not all(sure)]
+    if not open_:
+        return "Next: ask what other materials would do, or what to hang where."
+    names = wording.listing(open_[:3])
+    return (
+        f"Next: use what has no question mark; for the rest measure at more positions, or specify "
+        f"what is known of {names}."
+    )
+
+
+def key_figures(answer: Result) -> tuple[tuple[str, str], ...]:
+    """Return the mean of the room, the error of its decay time, this time, and how much is known.
+
+    Of a mean that is determined nowhere there is no number.
+    """
+    centres, known = answer.bands.centres_hz, tables.known_means(answer)
+    distance = np.abs(np.log2(centres / 1000.0))
+    middle = int(np.argmin(np.where(known, distance, np.inf) if known.any() else distance))
     mean, low, high = (
         wording.coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle])
     )
-    at = wording.hertz(float(answer.bands.centres_hz[middle]))
-    words = say("mean absorption of the room at {at}").format(at=at)
+    words = f"mean absorption of the room at {wording.hertz(float(centres[middle]))}"
     figures = [(f"{mean} ({low}{wording.DASH}{high})", words)]
+    if not known.any():
+        figures = [("?", "mean absorption of the room: determined in no band")]
     pairs = tables.compared_pairs(answer)
-    known = tables.parameter_keys(pairs)
-    key = wording.decay_time_key(known) or next(iter(known), None)
+    known_keys = tables.parameter_keys(pairs)
+    key = wording.decay_time_key(known_keys) or next(iter(known_keys), None)
     if key is None:
-        return (*figures, (wording.DASH, say("no measured room parameter to compare with")))
+        figures.append((wording.DASH, "no measured room parameter to compare with"))
+    else:
+        figures.append(_error_figure(answer, pairs, key))
+    if (times := tables.mean_decay_times(answer)) is not None:
+        value = wording.mid_mean(centres, times[1])
+        words = f"measured {times[0]} at {wording.mid_words(centres)}"
+        figures.append((f"{wording.number(value, 2)} s", words))
+    sure = int((answer.identifiable & ~tables.fixed_coefficients(answer)).sum())
+    words = f"of {answer.identifiable.size} absorption coefficients are determined"
+    return (*figures, (str(sure), words))
+
+
+def _error_figure(answer: Result, pairs: list[ComparedPair], key: str) -> tuple[str, str]:
     how = wording.parameter(key)
     model, baseline, _ = (tables.known_mean(x) for x in tables.errors_of(pairs, key))
-    words = say("error of predicted {symbol}, mean of {pairs}").format(
-        symbol=how.symbol, pairs=say(tables.compared_words(answer))
-    )
+    words = f"error of predicted {how.symbol}, mean of {tables.compared_words(answer)}"
     if np.isfinite(baseline):
-        words += say("; by the mean of the others {baseline}").format(
-            baseline=f"{wording.number(baseline, how.error_decimals)} {how.error_unit}"
-        )
-    return (*figures, (f"{wording.number(model, how.error_decimals)} {how.error_unit}", words))
+        beside = f"{wording.number(baseline, how.error_decimals)} {how.error_unit}"
+        words += f"; by the mean of the others {beside}"
+    return f"{wording.number(model, how.error_decimals)} {how.error_unit}", words
 
 
-def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
+def _decay_times(answer: Result) -> list[Block]:
     """Return measured and predicted decay times over frequency, means over the pairs."""
     found = tables.mean_decay_times(answer)
     if found is None:
         return []
     symbol, measured, predicted = found
-    words = say(
-        "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays within "
-        "the pale box of a band, one just noticeable difference about what was measured."
-    ).format(symbol=symbol, pairs=say(tables.compared_words(answer)))
+    words = (
+        f"{symbol} over frequency, mean of {tables.compared_words(answer)}. A listener does not "
+        "notice what stays within the pale box of a band, one just noticeable difference about "
+        "what was measured."
+    )
     title = f"{symbol} over frequency, measured and predicted"
-    series = wording.Series(say("measured"), measured), wording.Series(say("predicted"), predicted)
+    series = wording.Series("measured", measured), wording.Series("predicted", predicted)
     of = answer.bands.centres_hz, series, symbol
     return [Drawing("decay_times", title, words, "decay_time_figure", of)]
 
@@ -269,7 +295,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
 # ---------------------------------------------------------------- the parts
 
 
-def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
+def _absorption(answer: Result) -> list[Block]:
     more: list[Block] = [*tables.object_tables(answer), *tables.source_tables(answer)]
     sentences = tuple(
         (wording.hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
@@ -291,7 +317,7 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
         ]
         more += [Sentence(words), Terms(tuple(offsets[-found.n_offsets :]))]
     return [
-        _absorption_drawing(answer, say),
+        _absorption_drawing(answer),
         *tables.absorption_tables(answer),
         Sentence(
             "In the table, brackets and the words “not identif.” mark a coefficient that the data "
@@ -304,7 +330,7 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
     ]
 
 
-def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
+def _absorption_drawing(answer: Result) -> Drawing:
     return Drawing(
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
@@ -314,7 +340,7 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
         "identifiable, the number may come from the prior. Diamonds: given. "
         "Above each panel the area of the material, and in how many bands it is identifiable.",
         "absorption_figure",
-        (answer, None, say),
+        (answer,),
     )
 
 
@@ -335,7 +361,6 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
     errors = tables.error_tables(answer)
     worse = (("worse", "▲ marks where the model is worse than a baseline."),) if errors else ()
     found += [
-        *tables.decay_time_tables(answer),
         Sentence(
             "Each error is shown beside those of the baselines, which need no model of the room: "
             "the mean of the same parameter over the other fitted measurements (“others”), and "
@@ -403,46 +428,20 @@ def _room(scene: Scene) -> tuple[Block, ...]:
     return picture, tables.material_table(scene.room), tables.position_table(scene)
 
 
-def _certainty(answer: Result) -> list[Block]:
-    phi = (
-        "φ is chi-square over degrees of freedom. Where it is above 2 the model does not explain "
-        "the data, and no coefficient counts as identifiable."
-    )
-    found: list[Block] = [
-        *tables.fit_tables(answer),
-        Sentence(phi, "note"),
-    ]
-    if budget := tables.budget_tables(answer):
-        words = (
-            "Each source: by how much the combined uncertainty would be smaller without it, as the "
-            "root of the difference of squares, and its share of the combined variance. Sources "
-            "overlap and need not add up; the remainder is what they lack, or exceed, of the "
-            "whole. The expanded uncertainty is half of the 95 % interval, which stands below it. "
-            "The prior is information: without it the uncertainty would be as stated."
-        )
-        found += [*budget, Sentence(words, "note")]
-    return [*found, *tables.condition_tables(answer)]
-
-
-def _pairs(answer: Result, *, few: bool) -> list[Block]:
+def _pairs(answer: Result) -> tuple[Block, ...]:
     if not tables.parameter_keys(answer.pairs):
-        return [Sentence("No room-acoustic parameters to compare.")]
+        return (Sentence("No room-acoustic parameters to compare."),)
     words = (
-        "In each cell: predicted minus measured in just noticeable differences, the two values "
-        "(measured → predicted), and the error of the mean of the others, in just noticeable "
-        "differences, too."
+        "In each cell: the mean size of predicted minus measured, and of the band that is furthest "
+        "off its difference and its values (measured → predicted); all in just noticeable "
+        "differences, as the error of the mean of the others. Every band is in result.json."
     )
     jnd = (
         "Audible differences (ISO 3382-1: 5 % of T20, T30 and EDT, 1 dB of C50, C80 and G, 5 "
         "points of D50, 10 ms of TS are one just noticeable difference, JND):"
     )
     keys = (("near", "up to 1 JND"), ("middle", "1 to 2 JND"), ("far", "above 2 JND"))
-    found: list[Block] = [Sentence(jnd, "", keys), Sentence(words)]
-    if not few:
-        found.append(Sentence("What is folded is not printed."))
-    for i, (title, shown) in enumerate(tables.pair_sections(answer)):
-        found.append(Part(title, shown, folded=True, is_open=i < 2, on_paper=few))
-    return found
+    return Sentence(jnd, "", keys), Sentence(words), tables.pair_table(answer)
 
 
 def _provenance(

@@ -7,13 +7,14 @@ An answer becomes `Blocks` in the module that knows it; `roomfit.report.text`, `
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from roomfit.base.findings import Code, Finding, Severity
-from roomfit.base.table import Table
+from roomfit.base.table import Cell, Column, Table, Value, written
+from roomfit.report.wording import DASH, Translator, translator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,6 +65,7 @@ class Drawing:
     choices: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     chosen: int = 0
+    language: str = "en"
 
     @cached_property
     def figure(self) -> Figure:
@@ -71,6 +73,9 @@ class Drawing:
         module, _, function = self.maker.rpartition(".")
         found = import_module(f"roomfit.report.{module or 'figures'}")
         figure: Figure = getattr(found, function)(*self.of)
+        if self.language != "en":
+            say_in: Any = import_module("roomfit.report.figures").say_in
+            say_in(figure, translator(self.language))
         return figure
 
     @cached_property
@@ -104,7 +109,6 @@ class Part:
     name: str = ""  # links lead to it
     words: str = ""  # behind the heading of what is folded
     folded: bool = False
-    is_open: bool = False
     on_paper: bool = True  # whether it is printed though it is folded
     in_text: bool = True  # False: a page alone has it
 
@@ -134,3 +138,50 @@ def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
         yield block
         if isinstance(block, Part):
             yield from _flat(block.blocks)
+
+
+# ---------------------------------------------------------------- languages
+
+
+def in_its_language(answer: Blocks) -> Blocks:
+    """Return an answer with all its texts in its language; one that has them stays as it is."""
+    if answer.language == "en":
+        return answer
+    said: Blocks = _said(answer, translator(answer.language), answer.language)
+    return said
+
+
+# fields of blocks, tables and findings that hold words
+_WORDS = (
+    *("text", "keys", "pairs", "sentences", "title", "caption", "choices", "sentence", "findings"),
+    *("heading", "words", "blocks", "head", "small", "columns", "rows", "notes", "project"),
+)
+
+
+def _said(value: Any, say: Translator, language: str) -> Any:
+    match value:
+        case str():
+            return say(value)
+        case Column():
+            return value._replace(name=say(value.name))
+        case tuple() | list():
+            return type(value)(_said(one, say, language) for one in value)
+        case Drawing() if value.language != "en":
+            return value
+        case Table():
+            columns = value.described()
+            rows = [list(map(_in_words, row, columns)) for row in value.rows]
+            value = replace(value, rows=rows, columns=list(columns))
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    own = {f.name: getattr(value, f.name) for f in fields(value) if f.name in _WORDS}
+    changed = {name: _said(one, say, language) for name, one in own.items()}
+    if isinstance(value, Drawing):
+        changed["language"] = language
+    return replace(value, **changed)
+
+
+def _in_words(value: Value, column: Column) -> Value:
+    if isinstance(value, Cell | str):
+        return value
+    return written(value, column.form, DASH).replace("-", "\N{MINUS SIGN}")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from types import MappingProxyType
 
 import numpy as np
 
 from roomfit.base.air import attenuation_per_m
-from roomfit.base.findings import Code
+from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Cell, Table
 from roomfit.base.typing import FloatArray
 from roomfit.checks.decay import DECAY_SCATTER, mean_miss
@@ -19,34 +21,33 @@ from roomfit.result import Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene
 
-# Why walls are void, as part of a sentence; of every code that voids them.
-REASONS: Mapping[Code, str] = MappingProxyType(
-    {
-        Code.DECAY_BENT: "the files contain a bent decay",
-        Code.NOISE_GATED: "the files went through a noise gate",
-        Code.EXCHANGED: "files are exchanged",
-        Code.RECORDING_OF_TWO_PAIRS: "one recording stands for two pairs",
-        Code.RECORDINGS_LATE: "recordings begin late",
-        Code.COORDINATES_SCALED: "positions have another scale than the recordings",
-        Code.LEVELS_APART: "levels of files are apart by another gain",
-        Code.DISPLACEMENT_DETECTED: "positions or walls are not where they were specified",
-        Code.POSITION_INCONSISTENT: "positions contradict the arrival times",
-        Code.REFLECTION_DELAY_DETECTED: "reflections arrive later than the walls permit",
-        Code.WALL_POSITION_MISMATCH: "walls are not where they were specified",
-        Code.SOURCE_NOT_OMNIDIRECTIONAL: "a source is directional and was taken for "
-        "omnidirectional",
-        Code.SCATTERING_UNDERESTIMATED: "walls scatter more than was specified",
-        Code.MODEL_MISFIT_ALL_BANDS: "the model does not explain the data",
-        Code.DECAY_NOT_REPRODUCED: "the fitted decay is not that of the measurement",
-        Code.REFLECTION_DISAGREES: "single reflections contradict the absorption of their wall",
-        Code.MIRROR_AMBIGUITY: "walls can be exchanged without changing any response",
-    }
+# By code why walls are void, of every code that voids them, and what cures it.
+_REASONS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    tomllib.loads(files("roomfit.report").joinpath("templates/reasons.toml").read_text("utf-8"))
 )
+_MOST_LINES = 4
 _AGREE = 0.15  # of two means, relatively: Eyring's formula is off by as much in boxes
 _MOST_BANDS = 8  # named one by one
 
 
-# ---------------------------------------------------------------- what is usable
+# ---------------------------------------------------------------- what is serious, what is usable
+
+
+def serious_lines(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Return each kind of serious finding once, in a line: what it is, and what cures it."""
+    serious = [f for f in findings if f.severity == "serious"]
+    codes = tuple(dict.fromkeys(f.code for f in serious))
+    lines = []
+    for code in codes[:_MOST_LINES]:
+        cure = _REASONS.get(code, {}).get("cure", "read what it says under Findings")
+        times = sum(f.code is code for f in serious)
+        more = f" ({times} times)" if times > 1 else ""
+        lines.append(f"Serious: {_why(code)}{more}. Cure: {cure}.")
+    return tuple(lines)
+
+
+def _why(code: Code) -> str:
+    return _REASONS.get(code, {}).get("why") or code.value.replace("-", " ")
 
 
 def remaining_usable(result: Result) -> tuple[str, ...]:
@@ -57,7 +58,7 @@ def remaining_usable(result: Result) -> tuple[str, ...]:
     found = what_remains(result)
     taken = ""
     if found.taken:
-        reasons = "; ".join(f"{code.value}: {REASONS[code]}" for code in found.codes)
+        reasons = "; ".join(f"{code.value}: {_why(code)}" for code in found.codes)
         words = wording.count(found.wanted, "value")
         taken = f"{found.taken} of {words} would be called identifiable but for {reasons}."
     if not found.voids:
@@ -74,7 +75,7 @@ def _what_is_void(result: Result, found: Remaining) -> str:
     why = ""
     if not found.taken:  # else the next sentence says it
         codes = ", ".join(f.code.value for f in found.voids)
-        why = f": {wording.listing([REASONS[f.code] for f in found.voids[:2]])} [{codes}]"
+        why = f": {wording.listing([_why(f.code) for f in found.voids[:2]])} [{codes}]"
     return f"The walls' absorption{where} is not to be used{why}."
 
 
@@ -98,7 +99,7 @@ def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
     left = np.flatnonzero(~found.mean_usable)
     void = [f for f in found.voids if f.code in VOID_ANY_MEAN]
     if void and left.size:
-        where, why = wording.band_ranges(centres, ~found.mean_usable), REASONS[void[0].code]
+        where, why = wording.band_ranges(centres, ~found.mean_usable), _why(void[0].code)
         yield f"Not the mean at {where}: {why}, so that no decay time gives it, either."
     elif left.size:
         parts = []

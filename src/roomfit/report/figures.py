@@ -7,6 +7,7 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from roomfit.base.typing import FloatArray
@@ -156,6 +158,21 @@ def _of_the_page(grey: re.Match[str]) -> str:
     return f"var(--{next(name for most, name in names if light <= most)},{grey[0]})"
 
 
+def say_in(figure: Figure, say: Callable[[str], str]) -> None:
+    """Let the words and the ticks of a figure go through a translator."""
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        formatter: Any = axis.get_major_formatter()
+        plain: Any = formatter.format_ticks
+        formatter.format_ticks = partial(_each, say, plain)
+    texts: Any = figure.findobj(Text)
+    for text in texts:
+        text.set_text(say(text.get_text()))
+
+
+def _each(say: Any, plain: Any, at: Any) -> list[str]:
+    return [say(text) for text in plain(at)]
+
+
 # ---------------------------------------------------------------- what all figures share
 
 
@@ -263,19 +280,15 @@ def bands_side_by_side(axes: Axes, centres_hz: FloatArray) -> FloatArray:
 # ---------------------------------------------------------------- absorption
 
 
-def absorption_figure(
-    answer: Result,
-    true_absorption: FloatArray | None = None,
-    say: Callable[[str], str] = str,
-) -> Figure:
+def absorption_figure(answer: Result, true_absorption: FloatArray | None = None) -> Figure:
     """Return absorption over frequency, one panel a material, the last for the mean by area.
 
     Filled points are identifiable, hollow ones are not, diamonds were given; bars are 95 %
     intervals. `true_absorption`, shape (n_materials, n_bands), is drawn as crosses.
     """
     n, centres = len(answer.materials), answer.bands.centres_hz
-    across = say(f"{answer.bands.kind} band centre (Hz)")
-    figure, panels = panels_of(n + 1, across, say("absorption coefficient"), 2.45)
+    across = f"{answer.bands.kind} band centre (Hz)"
+    figure, panels = panels_of(n + 1, across, "absorption coefficient", 2.45)
     given = answer.lower95 == answer.upper95
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("identifiable", answer.identifiable & ~given, {"marker": "o"}),
@@ -289,10 +302,10 @@ def absorption_figure(
         for label, chosen, look in kinds:
             # an entry of the legend wherever any panel has such points
             if chosen.any():
-                look = {"color": wording.OKABE_ITO[0], "label": say(label), "ls": "none", **look}
+                look = {"color": wording.OKABE_ITO[0], "label": label, "ls": "none", **look}
                 axes.plot(centres[chosen[i]], value[chosen[i]], **look)
         if true_absorption is not None:
-            look = {"color": wording.OKABE_ITO[1], "ms": 7, "mew": 2, "label": say("true")}
+            look = {"color": wording.OKABE_ITO[1], "ms": 7, "mew": 2, "label": "true"}
             axes.plot(centres, true_absorption[i], "x", **look)
         name = literal(answer.materials[i], 20 if n < 3 else 16)
         axes.set_title(name, fontsize=10, loc="left", y=1.0)
@@ -301,7 +314,7 @@ def absorption_figure(
         axes.set_title(words, fontsize=8, loc="right", color="0.3", y=1.0)
     _with_intervals(panels[n], centres, tuple(answer.mean_absorption), "black")
     panels[n].plot(centres, answer.mean_absorption[0], "s", color="black", ms=5)
-    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left", y=1.0)
+    panels[n].set_title("mean of the room", fontsize=10, loc="left", y=1.0)
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
     figure_legend(figure)

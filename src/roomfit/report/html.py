@@ -8,16 +8,26 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 from roomfit.base.errors import InputError
 from roomfit.base.table import Table, html_of
-from roomfit.report.blocks import SEVERITIES, Block, Blocks, Findings, Part, Sentence
+from roomfit.report.blocks import (
+    SEVERITIES,
+    Block,
+    Blocks,
+    Drawing,
+    Findings,
+    Listed,
+    Numbers,
+    Part,
+    Sentence,
+    in_its_language,
+)
+from roomfit.report.wording import translator
 
 
 def page(answer: Blocks) -> str:
@@ -29,7 +39,7 @@ def page(answer: Blocks) -> str:
         r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", answer.logo
     ):
         raise InputError("the logo is no data URL of PNG or JPEG", found=repr(answer.logo[:40]))
-    say = translator(answer.language)
+    answer, say = in_its_language(answer), translator(answer.language)
     running = " · ".join(filter(None, (answer.title, dict(answer.project).get("client", ""))))
     text = _template(
         t=say,
@@ -45,39 +55,41 @@ def page(answer: Blocks) -> str:
     return text.replace("RULES", " ".join(f"'sha256-{d}'" for d in sorted(digests)), 1)
 
 
-def fragment(answer: Blocks) -> str:
-    """Return an answer as a piece of HTML without drawings, for a notebook.
+def fragment(answer: Blocks, *, first: bool = False) -> str:
+    """Return an answer as a piece of HTML without drawings, for a notebook; or its first screen.
 
     Question mark and grey follow what is not identifiable, for the page's style sheet is missing.
+    The `first` screen has its drawing.
     """
     style = (
         "<style>table.roomfit td.unsure { color: #777 } "
         "table.roomfit small { display: block }</style>"
     )
-    return style + "".join(_pieces((*answer.head, *answer.blocks)))
+    shown = answer.head if first else (*answer.head, *answer.blocks)
+    return style + "".join(_pieces(shown, drawn=first))
 
 
-def _pieces(blocks: Iterable[Block]) -> Iterable[str]:
+def _pieces(blocks: Iterable[Block], *, drawn: bool) -> Iterable[str]:
     for block in blocks:
         match block:
             case Sentence() if block.kind != "note":
                 yield f"<p>{escape(block.text)}</p>"
+            case Numbers():
+                yield _list(f"{number} {words}" for number, words in block.pairs)
+            case Listed() if block.sentences:
+                yield _list(block.sentences)
             case Table():
                 yield html_of(replace(block, kind=f"roomfit {block.kind}".strip()))
+            case Drawing() if drawn:
+                yield f"<figure>{block.svg}</figure>"
             case Findings() if block.findings:
-                said = (f"{f.severity}: {f.sentence} [{f.code}]" for f in block.findings)
-                yield f"<ul>{''.join(f'<li>{escape(x)}</li>' for x in said)}</ul>"
+                yield _list(f"{f.severity}: {f.sentence} [{f.code}]" for f in block.findings)
             case Part() if block.in_text:
-                yield from _pieces(block.blocks)
+                yield from _pieces(block.blocks, drawn=drawn)
 
 
-def translator(language: str) -> Any:
-    """Return what gives a text of the page in its language; what has no translation is English."""
-    if language != "de":
-        return str
-    text = files("roomfit.report").joinpath("templates/german.toml").read_text(encoding="utf-8")
-    german: dict[str, str] = tomllib.loads(text)
-    return lambda english: german.get(english, english)
+def _list(lines: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
 
 
 def findings_count(block: Findings, say: Any = str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,17 @@ from roomfit.files.encoding import finding_of
 from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
 from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
 from roomfit.report import wording
-from roomfit.report.blocks import Block, Blocks, Drawing, Findings, Numbers, Part, Sentence
+from roomfit.report.blocks import (
+    Block,
+    Blocks,
+    Drawing,
+    Findings,
+    Listed,
+    Numbers,
+    Part,
+    Sentence,
+)
+from roomfit.report.doubts import serious_lines
 from roomfit.report.tables import bounded_cells
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import ValueName
@@ -36,6 +46,9 @@ SHOWN = tuple(
 # ---------------------------------------------------------------- the decay time
 
 
+_Limit: TypeAlias = tuple[Sequence[float], float, float]  # bands in Hz, lowest and highest
+
+
 class DecayAnswer(NamedTuple):
     """The decay time of a prediction, before and after a change or beside what was measured."""
 
@@ -44,7 +57,14 @@ class DecayAnswer(NamedTuple):
     centres_hz: FloatArray
     series: tuple[wording.Series, ...]
 
-    def drawing(self, limits: Sequence[tuple[Sequence[float], float, float]] = ()) -> Drawing:
+    def _limit_rows(self, limits: Sequence[_Limit]) -> Iterator[list[str]]:
+        for words, at in (("target, at least", 1), ("target, at most", 2)):
+            own = [[x[at] for x in limits if f in x[0]] for f in self.centres_hz.tolist()]
+            cells = [" ".join(f"{x:.3g}" for x in every if np.isfinite(x)) for every in own]
+            if any(cells):
+                yield [words, *cells]
+
+    def drawing(self, limits: Sequence[_Limit] = ()) -> Drawing:
         """Return the decay time over frequency, with limits where there are some."""
         of = self.centres_hz, self.series, self.symbol, limits
         caption = (
@@ -53,6 +73,21 @@ class DecayAnswer(NamedTuple):
         )
         title = "Decay times over frequency"
         return Drawing("decay_times", title, caption, "decay_time_figure", of)
+
+    def tables(self, limits: Sequence[_Limit] = ()) -> tuple[Table, ...]:
+        """Return the decay time by band: before, the limits, after, and its 95 % interval."""
+        rows: list[list[str]] = []
+        for one in self.series:
+            if one is self.series[-1]:
+                rows += self._limit_rows(limits)
+            rows.append([one.label, *(wording.number(x, 2) for x in one.values_s)])
+            if one.lower95_s is not None and one.upper95_s is not None:
+                both = zip(one.lower95_s, one.upper95_s, strict=True)
+                ends = ([wording.number(x, 2) for x in own] for own in both)
+                cells = (wording.DASH.join(x) if wording.DASH not in x else "" for x in ends)
+                rows.append(["its interval, 95 %", *cells])
+        caption = f"{self.symbol} in s, mean over the positions"
+        return wording.band_tables(caption, "", self.centres_hz, rows)
 
 
 def decay_answer(
@@ -135,16 +170,17 @@ def _change_words(
 
 _MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
 _STI = "Speech transmission index (IEC 60268-16), 95 % interval"
+_NEXT = "Next: search what to hang where, or measure again after a change."
 _USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
 _MOST_PICTURES, _MOST_IN_TEXT = 24, 4
 _OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "result doubted"))
 
 
-def describe(predicted: Predicted) -> Blocks:
+def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     """Return the answer in a sentence and a few numbers, findings, means, and every pair.
 
     Of a change each parameter has what was measured before, or is expected where nothing was, what
-    is expected after, and the change, with their intervals.
+    is expected after, and the change, with their intervals. `limits` are of the decay time.
     """
     is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
     # by band why the absorption may be split otherwise among walls; "" where it may not
@@ -157,13 +193,9 @@ def describe(predicted: Predicted) -> Blocks:
     lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
-    head += [] if answer is None else [answer.drawing()]
-    numbers = tuple(_numbers(predicted))
-    head += [Numbers(numbers)] if numbers else []
-    if predicted.compares_states:
-        title = "Means over the pairs before and after the change, one panel a parameter"
-        maker = "prediction_figures.change_figure"
-        head.append(Drawing("change", title, "Bars are 95 % intervals.", maker, (predicted,)))
+    head += [Numbers(numbers)] if (numbers := tuple(_numbers(predicted))) else []
+    head += [] if answer is None else [answer.drawing(limits), *answer.tables(limits)]
+    head += [Listed(serious_lines(predicted.findings)), Sentence(_NEXT)]
 
     def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
         rows = parameter_rows(named_values(values, None), is_changed=is_changed, open_for=open_for)

@@ -21,47 +21,11 @@ from roomfit.design.positions import Design
 from roomfit.predict.grid import MAPPED
 from roomfit.predict.prediction import Predicted, PredictedPair, named_values
 from roomfit.report import figures, wording
-from roomfit.report.predicted import SHOWN
 from roomfit.report.room_figure import draw_edges, draw_faces, drawn_faces, outline_m
 from roomfit.room.scene import Scene, triangle_material
 from roomfit.treat.arrangements import Treatment
 
 # ---------------------------------------------------------------- predictions
-
-
-def change_figure(predicted: Predicted) -> Figure:
-    """Return means over the pairs before and after a change, one panel a parameter, by band.
-
-    Beside each other in every band: measured before, expected before and after the change; bars are
-    95 % intervals.
-    """
-    means = named_values(predicted.mean, predicted.sti)
-    shown = [(n, label, means[n]) for n, label, _ in SHOWN if n in means]
-    rows = [(n, x, v, v.change) for n, x, v in shown if v.change is not None]
-    rows = [row for row in rows if np.isfinite(row[3].change).any()]
-    n = -(-len(rows) // 2)
-    figure, panels = figures.grid_of(n, 2, 9.0, 2.2 * n + 0.8)
-    for unused in panels[len(rows) :]:
-        unused.set_visible(False)
-    for axes, (name, label, v, c) in zip(panels, rows, strict=False):
-        is_sti = name == "STI"
-        at = figures.bands_side_by_side(axes, predicted.bands.centres_hz[: 1 if is_sti else None])
-        if is_sti:
-            axes.set_xticks(at, ["125 to 8000"])
-        series = (
-            ("measured before", "black", v.measured, v.measured, v.measured),
-            ("expected before", wording.OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
-            ("expected after", wording.OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
-        )
-        for i, (text, color, middle, low, high) in enumerate(series):
-            x = at + 0.2 * (i - 1.0)
-            axes.vlines(x, low, high, color=color, lw=1.6)
-            axes.plot(x, middle, "o", color=color, ms=4, label=text)
-        axes.set_title(label, fontsize=9, y=1.0)
-    figure.supxlabel("frequency (Hz)", fontsize=10)
-    words = "mean with " + figures.literal("; ".join(predicted.changes), 80)
-    figures.figure_legend(figure, 3, words, gaps_in=(0.5, 0.55))
-    return figure
 
 
 def predicted_decay_figure(predicted: Predicted, *pairs: PredictedPair) -> Figure:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.base.air import attenuation_per_m
-from roomfit.base.logit import Z95
+from roomfit.base.bands import OCTAVES_HZ
 from roomfit.base.table import Cell, Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.checks.decay import DECAY_SCATTER
-from roomfit.files.budget import SOURCES, Budget, contribution, share, uncertainty_budget
 from roomfit.model.patterns import axial_index_db
 from roomfit.report.wording import (
     BANDS_AT_MOST,
@@ -31,12 +28,14 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.result import ComparedPair, Result
+from roomfit.result import Compared, ComparedPair, Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
 from roomfit.signals.speech import sti_of_decay
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
+
+_MOST_GROUPS = 2
 
 
 def fixed_coefficients(answer: Result) -> BoolArray:
@@ -74,6 +73,63 @@ def bounded_cells(
 def known_or(cell: Cell, reason: str, style: str = "missing") -> Cell:
     """Return a cell, with the reason below it where nothing is known."""
     return Cell(DASH, (reason,), style) if cell.text == DASH else cell
+
+
+def known_means(answer: Result) -> BoolArray:
+    """Return in which bands the mean of the room is determined."""
+    return np.array([c[0].determined for c in answer.combinations], dtype=np.bool_)
+
+
+def answer_table(answer: Result) -> Table:
+    """Return the absorption that is known, in a line each: of the room, of groups, of materials.
+
+    Of many bands the octaves. The last column is what was known before, in the middle band.
+    """
+    centres, fixed = answer.bands.centres_hz, fixed_coefficients(answer)
+    shown = np.arange(len(centres))
+    if len(centres) > BANDS_AT_MOST and np.isin(centres, OCTAVES_HZ).any():
+        shown = np.flatnonzero(np.isin(centres, OCTAVES_HZ))
+    mean = _brief(answer.mean_absorption, known_means(answer))
+    rows: list[list[Value]] = [[Cell("mean of the room", style="total"), *mean, ""]]
+    groups: dict[tuple[int, ...], FloatArray] = {}
+    for band, combinations in enumerate(answer.combinations):
+        for c in (c for c in combinations[1:] if c.determined):
+            members = tuple(np.flatnonzero(c.weights).tolist())
+            own = groups.setdefault(members, np.full((3, len(centres)), np.nan))
+            own[:, band] = c.value, c.lower95, c.upper95
+    for members in sorted(groups, key=lambda m: -np.isfinite(groups[m][0]).sum())[:_MOST_GROUPS]:
+        names = " + ".join(answer.materials[i] for i in members)
+        rows.append([names, *_brief(groups[members], missing=""), ""])
+    values = np.stack([answer.absorption, answer.lower95, answer.upper95])
+    middle = int(np.argmin(np.abs(np.log2(centres / 1000.0))))
+    for i, name in enumerate(answer.materials):
+        _, low, high = (coefficient(x, 1.0) for x in answer.prior[:, i, middle].tolist())
+        before = Cell("given", style="given") if fixed[i, middle] else Cell(f"{low}{DASH}{high}")
+        head = Cell(shortened(name), colour=material_colour(i))
+        rows.append([head, *_brief(values[:, i], answer.identifiable[i], fixed[i]), before])
+    heads = ("", *(hertz(float(centres[k])) for k in shown), f"before, {hertz(centres[middle])}")
+    chosen = [[row[0], *(row[1 + k] for k in shown), row[-1]] for row in rows]
+    notes = (
+        "?: not determined by the data. Last: what was known before, 95 %. All bands: the report.",
+    )
+    return Table("What is known of the absorption, with its 95 % interval", heads, chosen, notes)
+
+
+def _brief(
+    values: FloatArray, sure: ArrayLike = True, fixed: ArrayLike = False, missing: str = "?"
+) -> list[Cell]:
+    """Return cells of values (3, n_bands) with the longer side of their intervals."""
+    cells = []
+    rest = np.broadcast_arrays(values[0], sure, fixed)[1:]
+    for value, low, high, is_sure, given in zip(*values.tolist(), *rest, strict=True):
+        text, side = coefficient(value, high), coefficient(max(value - low, high - value), high)
+        if text == DASH:
+            cells.append(Cell(missing, style="unsure"))
+        elif given:
+            cells.append(Cell(text, style="given"))
+        else:
+            cells.append(Cell(f"{text}±{side}") if is_sure else Cell(f"{text}?", style="unsure"))
+    return cells
 
 
 def absorption_tables(answer: Result) -> tuple[Table, ...]:
@@ -168,83 +224,6 @@ def fit_tables(answer: Result) -> tuple[Table, ...]:
     return band_tables(caption, "", answer.bands.centres_hz, rows)
 
 
-def budget_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the uncertainty budget at 500 and 1000 Hz, a row a source, none without its terms.
-
-    In each cell a standard uncertainty in absorption, and its share of the combined variance.
-    """
-    tables: list[Table] = []
-    found = uncertainty_budget(answer) if any(answer.costs) else ()
-    for centre_hz, of_band in groupby(found, key=lambda one: one.band_hz):
-        own = list(of_band)
-        for first in range(0, len(own), BANDS_AT_MOST):
-            block = own[first : first + BANDS_AT_MOST]
-            more = f", {block[0].quantity} to {block[-1].quantity}" if len(block) < len(own) else ""
-            caption = f"Uncertainty budget of the absorption at {hertz(centre_hz)}{more}"
-            heads = ("source", *(one.quantity for one in block))
-            tables.append(Table(caption, heads, _budget_rows(block)))
-    return tuple(tables)
-
-
-def _budget_rows(block: Sequence[Budget]) -> list[Sequence[Value]]:
-    names = {name for one in block for name in one.variances}
-    rows: dict[str | Cell, list[Value]] = {
-        "absorption coefficient": [number(one.value, 3) for one in block]
-    }
-    for name in sorted(names, key=lambda n: ([*SOURCES, n].index(n), n)):
-        variances = [one.variances.get(name, 0.0) for one in block]
-        rows[Cell(name, (SOURCES[name],) if name in SOURCES else ())] = [
-            Cell(number(contribution(v), 4), (f"{number(share(v, one), 0)} %",))
-            for v, one in zip(variances, block, strict=True)
-        ]
-    rows[Cell("combined standard uncertainty", style="total")] = [
-        number(one.standard, 4) for one in block
-    ]
-    rows[Cell("coverage factor", style="total")] = [f"{Z95:.2f}"] * len(block)
-    rows[Cell("expanded uncertainty", style="total")] = [
-        Cell(number(Z95 * one.standard, 3), (f"{one.lower95:.3f}{DASH}{one.upper95:.3f}",))
-        for one in block
-    ]
-    rows[Cell("without the prior", style="total")] = [
-        known_or(Cell(number(one.without_prior, 4)), "nothing would be known") for one in block
-    ]
-    return [(head, *cells) for head, cells in rows.items()]
-
-
-def condition_tables(answer: Result) -> tuple[Table, ...]:
-    """Return how well the fitted pairs of one state know the mean decay time.
-
-    ISO 3382-2:2008, clause 7 and annex A, equations A.1 and A.2 with n = 10.
-    """
-    fitted = [p for p in answer.pairs if p.use == "fit"]
-    fitted = [p for p in fitted if p.state == fitted[0].state]
-    key = decay_time_key(name for p in fitted for name in p.parameters)
-    if key is None:
-        return ()
-    symbol = parameter(key).symbol
-    rows: list[list[Value]] = [
-        [f"mean {symbol} in s"],
-        [Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",))],
-        [Cell("the same in %", ("from the scatter of the pairs",))],
-    ]
-    measured_s = np.array([p.parameters[key].measured for p in fitted if key in p.parameters])
-    widths_hz = answer.bands.upper_hz - answer.bands.lower_hz
-    for width_hz, column_s in zip(widths_hz, measured_s.T, strict=True):
-        times_s = column_s[np.isfinite(column_s)]
-        n, mean_s = times_s.size, float(times_s.mean()) if times_s.size else np.nan
-        theory = DECAY_SCATTER[key] / np.sqrt(n * width_hz * mean_s) if n else np.nan
-        observed = times_s.std(ddof=1) / mean_s / np.sqrt(n) if n > 1 else np.nan
-        cells = (
-            (Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"),
-            (Cell(number(100.0 * theory, 1)), "not measured"),
-            (Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured"),
-        )
-        for row, (cell, reason) in zip(rows, cells, strict=True):
-            row.append(known_or(cell, reason))
-    caption = f"Conditions of the measurement: how well the mean {symbol} is known"
-    return band_tables(caption, "", answer.bands.centres_hz, rows)
-
-
 def pair_title(pair: ComparedPair) -> str:
     """Return "LS1 to MP2", and whether the pair was kept out of the fit."""
     state = f", {pair.state}" if pair.state else ""
@@ -277,41 +256,35 @@ def known_mean(values: FloatArray) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
-    """Return the title and the tables of every pair."""
-    keys, found, centres = parameter_keys(answer.pairs), [], answer.bands.centres_hz
-    for pair in answer.pairs:
-        rows = []
-        for key in keys:
-            how, compared = parameter(key), pair.parameters.get(key)
-            if compared is None:
-                missing = [Cell(DASH, ("not given",), "missing")] * len(centres)
-                rows.append((Cell(how.symbol), *missing))
-                continue
-            beside = np.full(len(centres), np.nan)
-            if key in PARAMETERS:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    beside = in_jnd(key, compared.measured, compared.null)
-            columns = (compared.measured, compared.predicted, compared.jnd, beside)
-            cells = [_jnd_cell(how.decimals, *map(float, x)) for x in zip(*columns, strict=True)]
-            rows.append((Cell(how.symbol, (f"in {how.unit}",) if how.unit else ()), *cells))
-        title = pair_title(pair)
-        caption = f"{title}: predicted minus measured in JND"
-        found.append((title, band_tables(caption, "parameter", centres, rows)))
-    return tuple(found)
+def pair_table(answer: Result) -> Table:
+    """Return how far every parameter of every pair is off: the mean over bands, and the worst.
+
+    In just noticeable differences; below, the band that is worst, with its values, and the mean
+    error of the mean of the others.
+    """
+    keys = parameter_keys(answer.pairs)
+    rows = [
+        (pair_title(p), *(_jnd_cell(answer, key, p.parameters.get(key)) for key in keys))
+        for p in answer.pairs
+    ]
+    heads = ("pair", *(parameter(key).symbol for key in keys))
+    return Table("Predicted against measured, in JND: mean size over the bands", heads, rows)
 
 
-def _jnd_cell(
-    decimals: int, measured: float, predicted: float, jnd: float, baseline: float
-) -> Cell:
-    before, after = (number(x, decimals) for x in (measured, predicted))
-    if before == DASH:
-        guess = [] if after == DASH else [f"predicted {after}"]
-        return Cell(DASH, ("not measured", *guess), "missing")
-    if after == DASH:
-        return Cell(DASH, ("not predicted", f"measured {before}"), "missing")
-    beside = f"others {number(baseline, 1, signed=True)}" if np.isfinite(baseline) else "no others"
-    return Cell(number(jnd, 1, signed=True), (f"{before} → {after}", beside), _audible(jnd))
+def _jnd_cell(answer: Result, key: str, c: Compared | None) -> Cell:
+    if c is None or not np.isfinite(c.jnd).any():
+        given = c is not None and np.isfinite(c.measured).any()
+        return Cell(DASH, ("not predicted" if given else "not measured",), "missing")
+    how, worst = parameter(key), int(np.nanargmax(np.abs(c.jnd)))
+    before, after = (number(float(x[worst]), how.decimals) for x in (c.measured, c.predicted))
+    at = hertz(float(answer.bands.centres_hz[worst]))
+    small = [f"{number(float(c.jnd[worst]), 1, signed=True)} at {at}", f"{before} → {after}"]
+    if key in PARAMETERS:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            others = known_mean(np.abs(in_jnd(key, c.measured, c.null)))
+        small += [f"others {number(others, 1)}"] if np.isfinite(others) else []
+    size = known_mean(np.abs(c.jnd))
+    return Cell(number(size, 1), tuple(small), _audible(size))
 
 
 def _audible(jnd: float) -> str:
@@ -382,20 +355,6 @@ def _error_cell(key: str, model: float, baseline: float, diffuse: float) -> Cell
     if round(model, decimals) > round(baseline, decimals):
         return Cell(f"▲ {text}", tuple(beside), "worse")
     return known_or(Cell(text, tuple(beside)), "not comparable")
-
-
-def decay_time_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the mean decay time, measured and predicted, over the same pairs."""
-    found = mean_decay_times(answer)
-    if found is None:
-        return ()
-    symbol, *both = found
-    rows = [
-        (name, *(known_or(Cell(number(t, 2)), "not determined") for t in times_s))
-        for name, times_s in zip(("measured", "predicted"), both, strict=True)
-    ]
-    caption = f"{symbol} in s, mean of {compared_words(answer)}"
-    return band_tables(caption, "", answer.bands.centres_hz, rows)
 
 
 def compared_pairs(answer: Result) -> list[ComparedPair]:

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 
 from roomfit.base.findings import Code, Finding
-from roomfit.base.table import Table, text_of
+from roomfit.base.table import Shown, Table, text_of
 from roomfit.report.blocks import Block, Blocks, Findings, Listed, Numbers, Part, Sentence, Terms
 
 _WIDTH = 100
 _MOST_SENTENCES = 12
 
 
-def text(answer: Blocks) -> str:
-    """Return an answer for a terminal: what is not folded away, findings last."""
-    shown = (*answer.head, *answer.blocks)
+def shown_text(answer: object, *, details: bool) -> str:
+    """Return an answer, or what describes one, for a terminal; any other text as it is."""
+    if isinstance(answer, Shown):
+        answer = import_module(f"roomfit.report.{answer.described_in}").describe(answer)
+    return text(answer, details=details) if isinstance(answer, Blocks) else str(answer)
+
+
+def text(answer: Blocks, *, details: bool = True) -> str:
+    """Return an answer for a terminal: its first screen, or all that is not a page's alone."""
+    shown = (*answer.head, *answer.blocks) if details else answer.head
     parts = [_block(b, answer.file) for b in shown if not isinstance(b, Findings)]
     parts += [_block(b, answer.file) for b in shown if isinstance(b, Findings)]
+    for block in () if details else answer.blocks:
+        if isinstance(block, Findings) and block.findings:
+            codes = ", ".join(dict.fromkeys(same[0].code.value for same in block.groups()))
+            parts.append(filled(f"Findings: {codes}. All of it: --details."))
     return "\n\n".join(p for p in parts if p)
 
 
@@ -25,15 +37,11 @@ def _block(block: Block, file: str) -> str:
     match block:
         case Sentence():
             return "" if block.kind == "note" else filled(block.text)
-        case Numbers():
-            width = max((len(value) for value, _ in block.pairs), default=0)
+        case Numbers() | Terms():
+            width = max((len(first) for first, _ in block.pairs), default=0)
+            side = ">" if isinstance(block, Numbers) else "<"
             return "\n".join(
-                filled(f"{n:>{width}}  {words}", width + 2) for n, words in block.pairs
-            )
-        case Terms():
-            width = max((len(name) for name, _ in block.pairs), default=0)
-            return "\n".join(
-                filled(f"{name:<{width}}  {words}", width + 2) for name, words in block.pairs
+                filled(f"{first:{side}{width}}  {words}", width + 2) for first, words in block.pairs
             )
         case Listed():
             more = len(block.sentences) - _MOST_SENTENCES

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from itertools import groupby
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,6 +16,8 @@ from roomfit.base.table import Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
 
 DASH = "\N{EN DASH}"
+Translator: TypeAlias = Callable[[str], str]
+"""Gives an English text in another language."""
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
@@ -28,6 +34,64 @@ def material_colour(index: int) -> str:
     colour = COLOURS[index % len(COLOURS)]
     parts = (0.6 * int(colour[i : i + 2], 16) / 255.0 + 0.4 for i in (1, 3, 5))
     return "#" + "".join(f"{round(255.0 * part):02x}" for part in parts)
+
+
+# ---------------------------------------------------------------- languages
+
+_HOLE = re.compile(r"{(\w+)}")
+_UNITS = r"k?Hz|kPa|m?s|dB|m[²³2]?|T20|T30|EDT|C50|C80|D50|G|STI|J?NDs?"
+_SIGNS = r"\s()±+\N{MINUS SIGN}\N{EN DASH}→:;,/%°<>=~▲?|\N{MULTIPLICATION SIGN}-"
+_NUMBERS = re.compile(rf"(?:[{_SIGNS}]|\d+(?!\d)(?:\.\d+(?!\d))?k?|\b(?:{_UNITS})\b)+")
+_SHORT, _LONGEST_NAMES = 8, 60  # a short entry, as of "and", joins short parts only
+
+
+@cache
+def translator(language: str) -> Translator:
+    """Return what gives a text of a page in its language; what has no translation stays English.
+
+    Its table is ``templates/LANGUAGE.toml``.
+    """
+    if language == "en":
+        return str
+    text = files("roomfit.report").joinpath(f"templates/{language}.toml").read_text("utf-8")
+    return translator_by(tomllib.loads(text))
+
+
+def translator_by(table: Mapping[str, str]) -> Translator:
+    """Return what translates whole texts by a table of them.
+
+    Words between braces in an entry stand for names, numbers and other entries. Numbers have the
+    decimal separator of the entry "0.1".
+
+    Examples
+    --------
+    >>> say = translator_by({"{n} of {all} bands": "{n} von {all} Bändern", "0.1": "0,1"})
+    >>> say("3 of 6 bands"), say("0.25 s"), say("brick")
+    ('3 von 6 Bändern', '0,25 s', 'brick')
+    """
+    point = table.get("0.1", "0.1")[1]
+    holes = []
+    for english in sorted(filter(_HOLE.search, table), key=lambda e: -len(_HOLE.sub("", e))):
+        parts = _HOLE.split(english)
+        pattern = "".join(f"(?P<{x}>.+?)" if i % 2 else re.escape(x) for i, x in enumerate(parts))
+        holes.append((re.compile(pattern, re.DOTALL), english, len("".join(parts[::2]))))
+
+    @cache
+    def say(text: str) -> str:
+        if text in table:
+            return table[text]
+        if not text.strip() or _NUMBERS.fullmatch(text):
+            return re.sub(r"(?<=\d)\.(?=\d)", point, text)
+        for pattern, english, n_letters in holes:
+            found = pattern.fullmatch(text)
+            if found and (n_letters > _SHORT or max(map(len, found.groups())) < _LONGEST_NAMES):
+                after = table[english]
+                for name, part in found.groupdict().items():
+                    after = after.replace(f"{{{name}}}", say(part), 1)
+                return after
+        return text
+
+    return say
 
 
 # ---------------------------------------------------------------- numbers

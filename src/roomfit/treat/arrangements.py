@@ -42,6 +42,8 @@ class Hung:
     product: str
     area_m2: float
     share: float  # of the surface
+    pieces: int
+    cost: float
     change: str  # as `roomfit predict --set` takes it
 
 
@@ -340,7 +342,8 @@ def _arrangement(problem: question.Problem, one: _Outcome, before: FloatArray) -
         own = Change(materials[m], "value", tuple(p.absorption), tuple(p.sd), share=share)
         if p.entry:
             own = Change(materials[m], "catalogue", entry=p.entry, share=share)
-        hung.append(Hung(materials[m], p.name, area, share, change_text(own)))
+        n, cost = int(pieces[c]), float(pieces[c] * problem.cost[c])
+        hung.append(Hung(materials[m], p.name, area, share, n, cost, change_text(own)))
     return Arrangement(
         tuple(hung),
         one.cost,
