@@ -22,7 +22,7 @@ _NAMES = {
     project.MEAN: ("mean of the room, from decay times alone", "What the decay times say"),
 }
 _TIMES_ALONE = (
-    "Decay times give the mean absorption of the room by band, and of no wall by itself: that takes "
+    "Decay times give the mean absorption of the room, and of no wall by itself: that takes "
     "recordings and positions, see Measurements."
 )
 _STALE = "The campaign has changed since this answer was made."

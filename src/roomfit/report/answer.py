@@ -260,9 +260,8 @@ def key_figures(answer: Result) -> tuple[tuple[str, str], ...]:
         value = wording.mid_mean(centres, times[1])
         words = f"measured {times[0]} at {wording.mid_words(centres)}"
         figures.append((f"{wording.number(value, 2)} s", words))
-    sure = int((answer.identifiable & ~tables.fixed_coefficients(answer)).sum())
-    words = f"of {answer.identifiable.size} absorption coefficients are determined"
-    return (*figures, (str(sure), words))
+    sure = str(int((answer.identifiable & ~tables.fixed_coefficients(answer)).sum()))
+    return *figures, (sure, f"of {answer.identifiable.size} coefficients are determined")
 
 
 def _error_figure(answer: Result, pairs: list[ComparedPair], key: str) -> tuple[str, str]:
@@ -286,10 +285,9 @@ def _decay_times(answer: Result) -> list[Block]:
         "notice what stays within the pale box of a band, one just noticeable difference about "
         "what was measured."
     )
-    title = f"{symbol} over frequency, measured and predicted"
     series = wording.Series("measured", measured), wording.Series("predicted", predicted)
     of = answer.bands.centres_hz, series, symbol
-    return [Drawing("decay_times", title, words, "decay_time_figure", of)]
+    return [Drawing("decay_times", f"{symbol} over frequency", words, "decay_time_figure", of)]
 
 
 # ---------------------------------------------------------------- the parts

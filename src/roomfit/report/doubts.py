@@ -25,7 +25,6 @@ from roomfit.room.scene import Scene
 _REASONS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     tomllib.loads(files("roomfit.report").joinpath("templates/reasons.toml").read_text("utf-8"))
 )
-_MOST_LINES = 4
 _AGREE = 0.15  # of two means, relatively: Eyring's formula is off by as much in boxes
 _MOST_BANDS = 8  # named one by one
 
@@ -36,13 +35,11 @@ _MOST_BANDS = 8  # named one by one
 def serious_lines(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return each kind of serious finding once, in a line: what it is, and what cures it."""
     serious = [f for f in findings if f.severity == "serious"]
-    codes = tuple(dict.fromkeys(f.code for f in serious))
     lines = []
-    for code in codes[:_MOST_LINES]:
+    for code in list(dict.fromkeys(f.code for f in serious))[:4]:
         cure = _REASONS.get(code, {}).get("cure", "read what it says under Findings")
         times = sum(f.code is code for f in serious)
-        more = f" ({times} times)" if times > 1 else ""
-        lines.append(f"Serious: {_why(code)}{more}. Cure: {cure}.")
+        lines.append(f"Serious: {_why(code)}{f' ({times} times)' * (times > 1)}. Cure: {cure}.")
     return tuple(lines)
 
 

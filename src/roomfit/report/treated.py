@@ -53,13 +53,12 @@ def describe(treatment: Treatment) -> Blocks:
 def _head(treatment: Treatment) -> tuple[Block, ...]:
     """Return the sentence, four numbers, and the picture."""
     first, answer = treatment.arrangements[0], _answer(treatment)
-    words = "probability that all targets are met"
-    numbers = [(f"{_percent(treatment, first.joint)} %", words)]
+    met = f"{_percent(treatment, first.joint)} %"
+    numbers = [(met, "probability that all targets are met")]
     if answer is not None:
         centres_hz = answer.centres_hz
         after = wording.with_interval(*answer.series[-1].mid_s(centres_hz))
-        words = f"{answer.symbol} at {wording.mid_words(centres_hz)}, treated"
-        numbers.append((after, words))
+        numbers.append((after, f"{answer.symbol} at {wording.mid_words(centres_hz)}, treated"))
     numbers.append((f"{sum(h.area_m2 for h in first.hung):.4g} m²", "to be hung"))
     numbers.append((f"{first.cost:g}", "cost, in the units of the treatment file"))
     caption = (
