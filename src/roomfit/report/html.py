@@ -92,15 +92,15 @@ def _list(lines: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
 
 
-def findings_count(block: Findings, say: Any = str) -> str:
+def findings_count(block: Findings) -> str:
     """Return how many findings of which severity there are, for the head of the list."""
     words = {"serious": "serious", "warning": "to look at", "info": "to know"}
     counts = [
-        f"{n} {say(words[severity])}"
+        f"{n} {words[severity]}"
         for severity in SEVERITIES
         if (n := sum(f.severity == severity for f in block.findings))
     ]
-    return f"{say('Findings')}: {', '.join(counts) or '0'}"
+    return f"Findings: {', '.join(counts) or '0'}"
 
 
 def _css_string(text: str) -> str:

@@ -166,7 +166,8 @@ def draw(treatment: Treatment) -> Figure:
 
 def _arrangement(treatment: Treatment, a: Arrangement) -> tuple[Block, ...]:
     """Return what hangs where, the targets with their odds, what to measure, every parameter."""
-    blocks: list[Block] = [_hung_table(a), _odds_table(treatment, a)]
+    own = [] if a is treatment.arrangements[0] else [_hung_table(a)]
+    blocks: list[Block] = [*own, _odds_table(treatment, a)]
     if a.decisive and not a.is_sure:
         blocks.append(Sentence(_next_step(a)))
     rows = parameter_rows(named_values(a.mean, None), is_changed=True)

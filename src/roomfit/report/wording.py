@@ -42,7 +42,7 @@ _HOLE = re.compile(r"{(\w+)}")
 _UNITS = r"k?Hz|kPa|m?s|dB|m[²³2]?|T20|T30|EDT|C50|C80|D50|G|STI|J?NDs?"
 _SIGNS = r"\s()±+\N{MINUS SIGN}\N{EN DASH}→:;,/%°<>=~▲?|\N{MULTIPLICATION SIGN}-"
 _NUMBERS = re.compile(rf"(?:[{_SIGNS}]|\d+(?!\d)(?:\.\d+(?!\d))?k?|\b(?:{_UNITS})\b)+")
-_SHORT, _LONGEST_NAMES = 8, 60  # a short entry, as of "and", joins short parts only
+_SHORT = 8  # a short entry, as of "and", joins parts of a sentence, never a whole one
 
 
 @cache
@@ -84,7 +84,7 @@ def translator_by(table: Mapping[str, str]) -> Translator:
             return re.sub(r"(?<=\d)\.(?=\d)", point, text)
         for pattern, english, n_letters in holes:
             found = pattern.fullmatch(text)
-            if found and (n_letters > _SHORT or max(map(len, found.groups())) < _LONGEST_NAMES):
+            if found and (n_letters > _SHORT or not text.endswith(".")):
                 after = table[english]
                 for name, part in found.groupdict().items():
                     after = after.replace(f"{{{name}}}", say(part), 1)

@@ -1,0 +1,133 @@
+"""Every word that a client sees is in the table of the language; all else are names and numbers."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from html import unescape
+from importlib.resources import files
+
+import pytest
+
+from report_cases import answer_of, finding, scene_of
+from roomfit.base.findings import Code
+from roomfit.report.answer import report_html
+from roomfit.report.wording import translator, translator_by
+from small_campaign import run_command
+
+GERMAN = tomllib.loads(
+    files("roomfit.report").joinpath("templates/de.toml").read_text(encoding="utf-8")
+)
+# what is left of an entry when it is read backwards: what was put into it
+# by lines, as drawings hold them
+LINES = {line for text in GERMAN.values() for line in (text, *text.split("\n"))}
+BACK = translator_by({line: " ".join(re.findall(r"{\w+}", line)) for line in LINES})
+UNITS = re.compile(
+    r"\b(\d+k|Hz|kHz|k|s|ms|m|dB|m²|m³|kPa|C|JND|T20|T30|EDT|C50|C80|D50|TS|G|STI|x|y|z)\b"
+    r"|φ|\N{GREEK SMALL LETTER ALPHA}"
+)
+CAMPAIGN = """
+[project]
+title = "Musiksaal"
+client = "Stadtschule"
+author = "A. Nemo"
+instruments = ["Mikrofon"]
+language = "de"
+[room]
+shoebox = [8.0, 6.0, 3.0]
+[room.materials]
+floor = "floor"
+ceiling = "ceiling"
+west = "walls"
+east = "walls"
+south = "walls"
+north = "walls"
+[materials.floor]
+prior = { mean = [0.1, 0.1], sd = [0.03, 0.03] }
+[materials.ceiling]
+prior = { mean = [0.1, 0.1], sd = [0.03, 0.03] }
+[materials.walls]
+prior = { mean = [0.1, 0.1], sd = [0.03, 0.03] }
+[reverberation]
+file = "t30.csv"
+"""
+TREATMENT = """
+[surfaces.ceiling]
+[products.panel]
+catalogue = "mineral-wool-50-mm"
+[[targets]]
+parameter = "T30_s"
+at_most = 0.8
+bands_hz = [500, 1000]
+"""
+NAMES = (
+    "Musiksaal",
+    "Stadtschule",
+    "A. Nemo",
+    "Mikrofon",
+    "floor",
+    "ceiling",
+    "walls",
+    "panel",
+    "Eyring",
+)
+
+
+def unknown(page, *names):
+    """Return the texts of a page of which a word is neither in the table nor one of the names."""
+    body = re.sub(r"<style.*?</style>", "", page, flags=re.DOTALL)
+    left = set()
+    for text in (unescape(x).strip().removeprefix(": ") for x in re.findall(r">([^<]+)<", body)):
+        said = BACK(text)
+        for name in sorted(names, key=len, reverse=True):
+            said = said.replace(name, "")
+        if re.search(r"[^\W\d_]", UNITS.sub("", said)):
+            left.add(text)
+    return left
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hall")
+    (folder / "t30.csv").write_text("place,500,1000\na,1.1,1.1\nb,1.2,1.1\n")
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+    (folder / "treatment.toml").write_text(TREATMENT)
+    with pytest.MonkeyPatch.context() as patch:
+        files_ = [folder / "campaign.toml", folder / "treatment.toml"]
+        assert run_command(patch, "treat", *files_, "--out", folder / "treat") == 0
+        change = ("--set", "floor=carpet-on-underlay")
+        assert run_command(patch, "predict", files_[0], *change, "--out", folder / "predict") == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "page", ["treat/client.html", "treat/treatment.html", "predict/predicted.html"]
+)
+def test_no_word_of_a_clients_page_is_missing_in_its_language(made, page):
+    text = (made / page).read_text(encoding="utf-8")
+    assert '<html lang="de">' in text
+    codes = {code.value for code in Code}
+    names = (*NAMES, "Eyring", "carpet-on-underlay", "predicted.csv", *codes)
+    assert unknown(text, *names) == set()
+
+
+def test_no_word_of_a_german_report_is_missing():
+    scene = scene_of(("Wand", "Boden"), ("S1", "S2"), ("R1",))
+    serious = tuple(finding("serious", GERMAN["serious"]) for _ in range(2))
+    own = {"language": "de", "client": "Stadtschule", "author": "A. Nemo"}
+    text = report_html(
+        answer_of(scene, kept=(1,), findings=serious), scene, title="Musiksaal", campaign="c.toml",
+        inputs_sha256={"a.wav": "00"}, project=own,
+    )  # fmt: skip
+    names = (*NAMES, "Wand", "Boden", "S1", "S2", "R1", "c.toml", "a.wav", "roomfit")
+    walls = [s.name for s in scene.room.mesh.surfaces]
+    assert unknown(text, *names, *walls, "result.json", serious[0].code.value) == set()
+    assert ">0,85<" in text or re.search(r">0,\d\d<", text)  # a comma, in tables and on axes
+
+
+def test_a_text_without_an_entry_stays_and_numbers_get_their_comma():
+    say = translator("de")
+    assert say("brick") == "brick" and say("1.25 s") == "1,25 s"
+    assert say("3 of 6 bands") == "3 von 6 Bändern"
+    assert say("0.31 (0.29 to 0.34)") == "0,31 (0,29 bis 0,34)"
+    assert translator("en")("0.5 of it") == "0.5 of it"
