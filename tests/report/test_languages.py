@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+import zipfile
 from html import unescape
 from importlib.resources import files
 
@@ -11,6 +12,7 @@ import pytest
 
 from report_cases import answer_of, finding, scene_of
 from roomfit.base.findings import Code
+from roomfit.cli.export import export_result
 from roomfit.report.answer import report_html
 from roomfit.report.wording import translator, translator_by
 from small_campaign import run_command
@@ -20,7 +22,7 @@ GERMAN = tomllib.loads(
 )
 # what is left of an entry when it is read backwards: what was put into it
 # by lines, as drawings hold them
-LINES = {line for text in GERMAN.values() for line in (text, *text.split("\n"))}
+LINES = dict.fromkeys(x for text in GERMAN.values() for x in (text, *text.split("\n")))
 BACK = translator_by({line: " ".join(re.findall(r"{\w+}", line)) for line in LINES})
 UNITS = re.compile(
     r"\b(\d+k|Hz|kHz|k|s|ms|m|dB|m²|m³|kPa|C|JND|T20|T30|EDT|C50|C80|D50|TS|G|STI|x|y|z)\b"
@@ -113,7 +115,8 @@ def test_no_word_of_a_clients_page_is_missing_in_its_language(made, page):
 
 def test_no_word_of_a_german_report_is_missing():
     scene = scene_of(("Wand", "Boden"), ("S1", "S2"), ("R1",))
-    serious = tuple(finding("serious", GERMAN["serious"]) for _ in range(2))
+    kinds = ("serious", "serious", "warning", "info")
+    serious = tuple(finding(kind, GERMAN["serious"]) for kind in kinds)
     own = {"language": "de", "client": "Stadtschule", "author": "A. Nemo"}
     text = report_html(
         answer_of(scene, kept=(1,), findings=serious), scene, title="Musiksaal", campaign="c.toml",
@@ -121,7 +124,7 @@ def test_no_word_of_a_german_report_is_missing():
     )  # fmt: skip
     names = (*NAMES, "Wand", "Boden", "S1", "S2", "R1", "c.toml", "a.wav", "roomfit")
     walls = [s.name for s in scene.room.mesh.surfaces]
-    assert unknown(text, *names, *walls, "result.json", serious[0].code.value) == set()
+    assert unknown(text, *names, *walls, "result.json", *(f.code.value for f in serious)) == set()
     assert ">0,85<" in text or re.search(r">0,\d\d<", text)  # a comma, in tables and on axes
 
 
@@ -131,3 +134,21 @@ def test_a_text_without_an_entry_stays_and_numbers_get_their_comma():
     assert say("3 of 6 bands") == "3 von 6 Bändern"
     assert say("0.31 (0.29 to 0.34)") == "0,31 (0,29 bis 0,34)"
     assert translator("en")("0.5 of it") == "0.5 of it"
+
+
+@pytest.mark.slow
+def test_a_client_gets_two_pages_and_the_report_of_eight_pairs_has_eight_at_most(made):
+    """As PDF, in the language with the longer words; of the client's page a Word file as well."""
+    weasyprint = pytest.importorskip("weasyprint")
+    sources, receivers = ("S1", "S2"), ("R1", "R2", "R3", "R4")
+    scene = scene_of([f"Wand {i}" for i in range(6)], sources, receivers)
+    report = report_html(answer_of(scene), scene, title="Saal", project={"language": "de"})
+    client = (made / "treat" / "client.html").read_text(encoding="utf-8")
+    for text, most in ((report, 8), (client, 2)):
+        assert len(weasyprint.HTML(string=text).render().pages) <= most
+    pytest.importorskip("docx")
+    out = made / "client.docx"
+    written = export_result(made / "treat" / "client.html", "word", out)
+    assert written.files == (out,) and zipfile.ZipFile(out).testzip() is None
+    pictures = [n for n in zipfile.ZipFile(out).namelist() if n.startswith("word/media/")]
+    assert len(pictures) == 2

@@ -71,10 +71,11 @@ def translator_by(table: Mapping[str, str]) -> Translator:
     """
     point = table.get("0.1", "0.1")[1]
     holes = []
-    for english in sorted(filter(_HOLE.search, table), key=lambda e: -len(_HOLE.sub("", e))):
-        parts = _HOLE.split(english)
-        pattern = "".join(f"(?P<{x}>.+?)" if i % 2 else re.escape(x) for i, x in enumerate(parts))
-        holes.append((re.compile(pattern, re.DOTALL), english, len("".join(parts[::2]))))
+    # the longest first, so that what is most said decides; short ones as they are written
+    lengths = {e: max(len(_HOLE.sub("", e)), _SHORT) for e in table if _HOLE.search(e)}
+    for english in sorted(lengths, key=lengths.__getitem__, reverse=True):
+        literal = re.escape(english).replace(r"\{", "{").replace(r"\}", "}")
+        holes.append((re.compile(_HOLE.sub(r"(?P<\1>.+?)", literal), re.DOTALL), english))
 
     @cache
     def say(text: str) -> str:
@@ -82,13 +83,11 @@ def translator_by(table: Mapping[str, str]) -> Translator:
             return table[text]
         if not text.strip() or _NUMBERS.fullmatch(text):
             return re.sub(r"(?<=\d)\.(?=\d)", point, text)
-        for pattern, english, n_letters in holes:
+        for pattern, english in holes:
             found = pattern.fullmatch(text)
-            if found and (n_letters > _SHORT or not text.endswith(".")):
-                after = table[english]
-                for name, part in found.groupdict().items():
-                    after = after.replace(f"{{{name}}}", say(part), 1)
-                return after
+            if found and (lengths[english] > _SHORT or not text.endswith(".")):
+                parts = {name: say(part) for name, part in found.groupdict().items()}
+                return table[english].format(**parts)
         return text
 
     return say
