@@ -111,7 +111,7 @@ def _out_of_range(
     """Return the error of a number outside of a closed range, with what may have been meant."""
     upper = f"to {high:g}" if high < np.inf else "or more"
     needed = "a finite number" if np.isinf([low, high]).all() else f"{low:g} {upper} {unit}"
-    hint = f"the nearest that is accepted: {min(max(value, low), high):g} {unit}".rstrip()
+    hint = f"is another unit than {unit} meant?" if unit else "compare its digits with the source"
     if not np.isfinite(value):
         hint = "replace it by a finite number"
     elif low <= -value <= high:

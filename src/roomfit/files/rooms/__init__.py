@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.base.arguments import check_known, did_you_mean
+from roomfit.base.arguments import check_known
 from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
@@ -124,7 +124,7 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
         if spec.plan is not None:
             return plan_model(spec.plan, spec.height or 0.0), "[room] plan"
         if suffix not in READERS:
-            hint = _FOREIGN.get(suffix) or did_you_mean(suffix, READERS) or "export the room as OBJ"
+            hint = _FOREIGN.get(suffix, "export the room as OBJ")
             what, needed = "a room file of unknown format", f"one of {', '.join(READERS)}"
             found = repr(path.suffix)
             raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
