@@ -207,8 +207,12 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-    known = campaign_content(folder).get("materials", {})
-    edit(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
+
+    def gone(content: Mapping[str, Any]) -> list[Edit]:
+        known = content.get("materials", {})
+        return [Edit(("materials",), name, None) for name in known if name not in used]
+
+    edit(folder, of=gone)
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:

@@ -112,9 +112,9 @@ class RoomSpec(Table):
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonSpec | None = None
     """Tables of corners and planes."""
-    plan: list[tuple[float, float]] | None = None
+    plan: list[tuple[Coordinate, Coordinate]] | None = None
     """Corners x, y of the floor in their order around it, under upright walls."""
-    height: float | list[float] | None = None
+    height: Height | list[Height] | None = None
     """Of a plan: of the ceiling, or above each corner; with two highest corners a gabled roof."""
     unit: str | None = None
     """m, mm, cm, ft or in; required where the file states none (OBJ, PLY, STL)."""
