@@ -50,10 +50,6 @@ class BandNumbers(NamedTuple):
     levels_db: FloatArray  # (3, n_times), of the decay by all paths, and of its 95 % interval
 
 
-# What each band gave last: of a slider that moves, one band is new.
-LatestBands = dict[int, BandNumbers]
-
-
 def _band_numbers(
     room: TracedRoom, pair: int, rows: ReducedRows, absorptions: FloatArray, *, with_transfer: bool
 ) -> BandNumbers:
@@ -95,7 +91,7 @@ def pair_numbers(
     absorptions: FloatArray,
     speech_db: FloatArray | None = None,
     before: PairNumbers | None = None,
-    latest: LatestBands | None = None,
+    latest: dict[int, BandNumbers] | None = None,
 ) -> PairNumbers:
     """Return the predictions for one pair of a room.
 
