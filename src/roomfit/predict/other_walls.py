@@ -53,7 +53,7 @@ class PreparedRoom:
     dominated: tuple[Finding, ...]  # by material, that the prior decides its share
     seed: int
     speech_db: FloatArray | None  # as of `predict`
-    latest: tuple[decay.LatestBands, ...]  # of every pair, what `numbers_at` found last
+    latest: tuple[dict[int, decay.BandNumbers], ...]  # of every pair, what `numbers_at` found last
 
     @property
     def scene(self) -> Scene:
