@@ -136,8 +136,7 @@ def _targets(file: Path, room: ChangingRoom) -> Sequence[Target]:
         return ()
     known, scene = room.absorption, room.scene
     asked = treatments.treat_arguments(file, treatments.read_treatment(file), known, scene)[0]
-    found: Sequence[Target] = asked["targets"]
-    return found
+    return tuple(asked["targets"])
 
 
 # What to hang where.

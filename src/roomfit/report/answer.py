@@ -112,10 +112,9 @@ def result_blocks(
     """
     about = dict(project or {})
     language, logo = about.pop("language", "en"), about.pop("logo", "")
-    void, *usable = remaining_usable(answer) or ("",)
-    first = [Sentence(void, "lead"), Sentence(headline(answer), "usable")]
+    first, *usable = (*remaining_usable(answer), headline(answer))
     head: list[Block] = [
-        *(first if void else [Sentence(headline(answer), "lead")]),
+        Sentence(first, "lead"),
         Numbers(key_figures(answer)),
         *_decay_times(answer),
         tables.answer_table(answer),

@@ -12,6 +12,7 @@ from roomfit.base.air import attenuation_per_m
 from roomfit.base.bands import OCTAVES_HZ
 from roomfit.base.table import Cell, Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.checks.verdict import what_remains
 from roomfit.model.patterns import axial_index_db
 from roomfit.report.wording import (
     BANDS_AT_MOST,
@@ -76,8 +77,9 @@ def known_or(cell: Cell, reason: str, style: str = "missing") -> Cell:
 
 
 def known_means(answer: Result) -> BoolArray:
-    """Return in which bands the mean of the room is determined."""
-    return np.array([c[0].determined for c in answer.combinations], dtype=np.bool_)
+    """Return in which bands the mean of the room is determined, and no finding takes it away."""
+    found, known = what_remains(answer), [c[0].determined for c in answer.combinations]
+    return np.asarray(found.mean_usable & known if found.voids else known, dtype=np.bool_)
 
 
 def answer_table(answer: Result) -> Table:
@@ -109,9 +111,7 @@ def answer_table(answer: Result) -> Table:
         rows.append([head, *_brief(values[:, i], answer.identifiable[i], fixed[i]), before])
     heads = ("", *(hertz(float(centres[k])) for k in shown), f"before, {hertz(centres[middle])}")
     chosen = [[row[0], *(row[1 + k] for k in shown), row[-1]] for row in rows]
-    notes = (
-        "?: not determined by the data. Last: what was known before, 95 %. All bands: the report.",
-    )
+    notes = ("?: not determined by the data. Last: known before, 95 %. All bands: the report.",)
     return Table("What is known of the absorption, with its 95 % interval", heads, chosen, notes)
 
 

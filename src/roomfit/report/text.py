@@ -24,13 +24,15 @@ def shown_text(answer: object, *, details: bool) -> str:
 def text(answer: Blocks, *, details: bool = True) -> str:
     """Return an answer for a terminal: its first screen, or all that is not a page's alone."""
     shown = (*answer.head, *answer.blocks) if details else answer.head
-    parts = [_block(b, answer.file) for b in shown if not isinstance(b, Findings)]
-    parts += [_block(b, answer.file) for b in shown if isinstance(b, Findings)]
+    parts = [_block(b, answer.file) for b in sorted(shown, key=lambda b: isinstance(b, Findings))]
+    if not details:  # in a screen: blank lines about what is long
+        aside = [isinstance(b, Table | Numbers) or b == answer.head[0] for b in shown]
+        parts = [f"{p}\n" if p and x else p for p, x in zip(parts, aside, strict=True)]
     for block in () if details else answer.blocks:
         if isinstance(block, Findings) and block.findings:
             codes = ", ".join(dict.fromkeys(same[0].code.value for same in block.groups()))
             parts.append(filled(f"Findings: {codes}. All of it: --details."))
-    return "\n\n".join(p for p in parts if p)
+    return ("\n\n" if details else "\n").join(p for p in parts if p)
 
 
 def _block(block: Block, file: str) -> str:
