@@ -26,11 +26,11 @@ _MOST_PLANES = 20_000
 # Other programs whose files end so: what stands in them, and what helps
 _OTHERS = {
     "Gmsh": (
-        r"(?im)^\s*(setfactory|point|line|(plane|physical) surface|(line|curve) loop)\s*\(",
+        r"(?im)^[ \t]*(setfactory|point|line|(plane|physical) surface|(line|curve) loop)[ \t]*\(",
         "save its surfaces as STL or PLY there, by File, Export",
     ),
     "ESP-r": (
-        r"(?im)\A(\s*#.*\n)*\s*(\*geometry\b|gen\s+\S+\s)",
+        r"(?im)\A([ \t]*(#.*)?\n)*[ \t]*(\*geometry\b|gen[ \t]+\S+[ \t])",
         "write it as DXF with ESP-r's converter: ecnv -if esp -of dxf",
     ),
 }
