@@ -236,7 +236,11 @@ def test_what_if_shows_speech_limits_sounds_and_what_to_hang(
     assert seconds > 0.1
     # what to hang where
     page.get_by_role("button", name=re.compile("^Search for the cheapest")).click()
-    shown = page.frame_locator("iframe[title=Treatment]").get_by_text("What hangs where").first
+    shown = (
+        page.frame_locator("iframe[title=Treatment]")
+        .get_by_text("What hangs where", exact=True)
+        .first
+    )
     shown.wait_for(timeout=_MINUTES_MS)
     # processes that have ended begin anew, and know the room again
     before = answer.inner_text()
