@@ -256,13 +256,15 @@ class Advice:
         self.file = project.campaign_file(folder)
         self.place = ui.element("section").props('aria-label="Remedies"').style("width: 100%")
         self.dialog = ui.dialog().props('aria-label="What is written"')
+        self.is_open = False  # stays as it is where it is drawn anew
 
     def show(self, advised: Sequence[Mapping[str, Any]]) -> None:
         """Draw a button for each code of a finding, with a choice where there is one."""
         can_undo = edits.undoable(self.file) is not None
         if not emptied(self.place, (advised, can_undo)) or not (advised or can_undo):
             return
-        with self.place, ui.expansion("What the findings advise").classes("panel remedies"):
+        with self.place, ui.expansion("What the findings advise").classes("panel remedies") as own:
+            own.bind_value(self, "is_open")
             for entry in advised:
                 self._show_entry(entry)
             if can_undo:
