@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
 from roomfit.materials.catalogue import band_correlation, catalogue_prior, find_material
-from roomfit.predict.changes import Change, changed_draws
+from roomfit.predict.changes import Change, change_text, changed_draws, read_change
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = bands_between("octave", 500, 1000)
@@ -62,3 +65,30 @@ def test_an_object_is_set_in_square_metres_as_the_absorption_they_stand_for():
     assert np.all(absorption[2] > 0.0) and absorption[2][0] == absorption[2][1]
     relative = drawn[:, 2].std(axis=0) / absorption[2]
     np.testing.assert_allclose(relative, 0.1, rtol=0.05)
+
+
+def test_parts_of_a_material_make_the_mean_by_area_and_no_more_than_all_of_it():
+    """40 % of one product and 20 % of another: what is left keeps its own, draw by draw."""
+    one, other = Change("wall", "value", (0.8,), (0.05,)), Change("wall", "factor", (2.0,))
+    (a, _, draws, whole), (*_, second) = drawn_with(one), drawn_with(other)
+    parts = replace(one, share=0.4), replace(other, share=0.2)
+    _, absorption, _, drawn = drawn_with(*parts)
+    np.testing.assert_allclose(absorption[0], 0.4 * a[0] + 0.4 * 0.8 + 0.2 * 2.0 * a[0])
+    by_hand = 0.4 * draws[:, 0] + 0.4 * whole[:, 0] + 0.2 * second[:, 0]
+    np.testing.assert_allclose(drawn[:, 0], by_hand, atol=1e-12)
+    with pytest.raises(InputError, match="changed twice"):
+        drawn_with(one, replace(other, share=0.1))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["wall=40% 0.3+-0.05", "wall=12.5% x1.5", "wall=7% curtain-heavy", "wall=0.1,0.2", "a b=x2"],
+)
+def test_a_change_is_read_as_it_is_written(text):
+    assert change_text(read_change(text)) == text
+
+
+@pytest.mark.parametrize("text", ["wall=0% 0.3", "wall=120% 0.3", "wall=40% 0.3,"])
+def test_a_part_that_is_none_is_refused(text):
+    with pytest.raises(InputError, match="not written as it must be"):
+        read_change(text)

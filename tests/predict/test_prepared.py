@@ -28,8 +28,12 @@ CHANGES = ("walls=0.3+-0.03", "carpet=x0.6", "tiles=0.6+-0.05", "carpet=0.7,0.8"
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory):
-    campaign = read_campaign(write_campaign(tmp_path_factory.mktemp("prepared") / "campaign"))
+def campaign(tmp_path_factory):
+    return read_campaign(write_campaign(tmp_path_factory.mktemp("prepared") / "campaign"))
+
+
+@pytest.fixture(scope="module")
+def given(campaign):
     a = np.array([[x] * 2 for x in ABSORPTION.values()])
     low, high = (1.0 / (1.0 + (1.0 / a - 1.0) * np.exp(s * 0.196)) for s in (1.0, -1.0))
     covariance = np.stack([0.01 * np.eye(len(a))] * 2)
@@ -70,6 +74,19 @@ def test_a_prepared_room_predicts_a_change_as_predict_does(given, room, text):
         for name, one in theirs.parameters.items():
             unit = jnd_of(name, one.predicted)
             assert np.all(np.abs(own.parameters[name].predicted - one.predicted) < 0.1 * unit)
+
+
+def test_of_a_material_that_is_changed_in_part_the_rest_must_be_known(campaign, given):
+    """All of it may be replaced where nothing was found of it."""
+    names = [n for n in given.known.materials if n != "carpet"]
+    at = [given.known.materials.index(n) for n in names]
+    rows = [getattr(given.known, k)[at] for k in ("absorption", "lower95", "upper95")]
+    covariance = given.known.logit_covariance[:, at][:, :, at]
+    known = AbsorptionPosterior(tuple(names), given.known.bands, *rows, covariance)
+    whole = question_of(campaign, known, [read_change("carpet=0.4")])
+    assert "carpet" in whole.known.materials
+    with pytest.raises(InputError, match="is not known"):
+        question_of(campaign, known, [read_change("carpet=40% 0.4")])
 
 
 def test_sabines_formula_stands_beside_a_change_of_decay_times(given, room):

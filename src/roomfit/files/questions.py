@@ -118,7 +118,8 @@ def question_of_pairs(
         doubts = (*doubts, *refused)
     areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
     found, dominated = for_another_room(found, areas, settings.n_draws, settings.seed)
-    replaced = [c.material for c in changes if c.kind != "factor"]
+    # of what is changed in part the rest must be known
+    replaced = [c.material for c in changes if c.kind != "factor" and c.share >= 1.0]
     with located(str(campaign.path)):
         priors = room_priors(campaign, room, bands)
         directivities = source_directivities(campaign, bands)

@@ -26,8 +26,8 @@ _NEEDED = (
 )
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
-# what is meant as a number, and is none of these; a material may be called 3mm-glass
 _PART = re.compile(rf"^{_NUMBER} ?% ?(?=\S)")
+# what is meant as a number, and is none of these; a material may be called 3mm-glass
 _LIKE_NUMBERS = re.compile(r"x?([-+±.,\deE]+|[-+]?(nan|inf))")
 
 

@@ -168,16 +168,12 @@ def _followed_absorptions(
 
 
 def _numbers(
-    room: PreparedRoom,
-    absorption: FloatArray,
-    draws: FloatArray,
-    progress: Progress | None,
+    room: PreparedRoom, absorption: FloatArray, draws: FloatArray, progress: Progress | None
 ) -> tuple[decay.PairNumbers, ...]:
     """Return the numbers of every pair, as nothing is known of them before."""
     n_pairs = len(room.scene.pairs)
     _LOG.info("predicting")
     shown = in_this_process(progress)
-
     absorptions = np.concatenate((absorption[None], draws))
 
     def of_pair(i: int) -> decay.PairNumbers:

@@ -259,8 +259,9 @@ def key_figures(answer: Result) -> tuple[tuple[str, str], ...]:
         value = wording.mid_mean(centres, times[1])
         words = f"measured {times[0]} at {wording.mid_words(centres)}"
         figures.append((f"{wording.number(value, 2)} s", words))
-    sure = str(int((answer.identifiable & ~tables.fixed_coefficients(answer)).sum()))
-    return *figures, (sure, f"of {answer.identifiable.size} coefficients are determined")
+    wanted = ~tables.fixed_coefficients(answer)
+    sure = str(int((answer.identifiable & wanted).sum()))
+    return *figures, (sure, f"of {int(wanted.sum())} coefficients are determined")
 
 
 def _error_figure(answer: Result, pairs: list[ComparedPair], key: str) -> tuple[str, str]:
