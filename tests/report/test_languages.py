@@ -23,7 +23,7 @@ GERMAN = tomllib.loads(
 # what is left of an entry when it is read backwards: what was put into it
 # by lines, as drawings hold them
 LINES = dict.fromkeys(x for text in GERMAN.values() for x in (text, *text.split("\n")))
-BACK = translator_by({line: " ".join(re.findall(r"{\w+}", line)) for line in LINES})
+BACK = {line: " ".join(re.findall(r"{\w+}", line)) for line in LINES}
 UNITS = re.compile(
     r"\b(\d+k|Hz|kHz|k|s|ms|m|dB|m²|m³|kPa|C|JND|T20|T30|EDT|C50|C80|D50|TS|G|STI|x|y|z)\b"
     r"|φ|\N{GREEK SMALL LETTER ALPHA}"
@@ -78,9 +78,9 @@ NAMES = (
 def unknown(page, *names):
     """Return the texts of a page of which a word is neither in the table nor one of the names."""
     body = re.sub(r"<style.*?</style>", "", page, flags=re.DOTALL)
-    left = set()
+    left, back = set(), translator_by(BACK, names)
     for text in (unescape(x).strip().removeprefix(": ") for x in re.findall(r">([^<]+)<", body)):
-        said = BACK(text)
+        said = back(text)
         for name in sorted(names, key=len, reverse=True):
             said = said.replace(name, "")
         if re.search(r"[^\W\d_]", UNITS.sub("", said)):
@@ -126,6 +126,21 @@ def test_no_word_of_a_german_report_is_missing():
     walls = [s.name for s in scene.room.mesh.surfaces]
     assert unknown(text, *names, *walls, "result.json", *(f.code.value for f in serious)) == set()
     assert ">0,85<" in text or re.search(r">0,\d\d<", text)  # a comma, in tables and on axes
+
+
+def test_names_stay_as_they_are_though_they_are_words_or_numbers_of_the_table():
+    walls, ends = ("all", "wood and glass", "energy"), ("no", "1.5", "at home, to rest", "a; b")
+    scene, own = scene_of(walls, ends[:1], ends[1:]), {"client": "source", "date": "12.2026"}
+    found = finding("warning", "no to 1.5 (air at 2.wav): all and wood and glass.")
+    page = report_html(
+        answer_of(scene, findings=(found,)), scene, title="The room",
+        inputs_sha256={"air at 2.wav": "1.5"}, project=own | {"language": "de"},
+    )  # fmt: skip
+    texts = [unescape(x).strip() for x in re.findall(r">([^<]+)<", page)]
+    pairs = [f"no nach {name}" for name in ends[1:]]
+    assert {*walls, *ends, *own.values(), *pairs, "The room", "air at 2.wav"} <= set(texts)
+    changed = ("wood und", "nein nach", "nach 1,5", "bis rest", "bei home", "bei 2.", "12,2026")
+    assert not [words for words in changed if words in " ".join(texts)]
 
 
 def test_a_text_without_an_entry_stays_and_numbers_get_their_comma():

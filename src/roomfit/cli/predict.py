@@ -21,7 +21,7 @@ from roomfit.predict.grid import grid_records
 from roomfit.predict.output import write_predicted
 from roomfit.predict.predict import predict
 from roomfit.predict.prediction import Predicted
-from roomfit.report.blocks import Blocks, in_its_language
+from roomfit.report.blocks import Blocks, in_its_language, names_of
 from roomfit.report.html import page
 from roomfit.report.predicted import (
     describe,
@@ -59,8 +59,9 @@ def predict_to_folder(
     check_disk_room(out, len(question.scene.pairs) // 3)
     with located(str(campaign_file)):
         predicted = predict(question, progress=part(progress, 0.0, 0.95))
-    language = campaign.project.language
-    shown = in_its_language(replace(describe(predicted), language=language))
+    own_names, language = names_of(question.scene, *changes), campaign.project.language
+    answer = replace(describe(predicted), language=language, names=own_names)
+    shown = in_its_language(answer)
     drawings = pair_drawings(predicted)
     with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures

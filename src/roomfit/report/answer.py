@@ -21,6 +21,7 @@ from roomfit.report.blocks import (
     Part,
     Sentence,
     Terms,
+    names_of,
 )
 from roomfit.report.doubts import disagreement_table, remaining_usable, serious_lines
 from roomfit.report.html import page
@@ -110,7 +111,7 @@ def result_blocks(
     First the answer; folded away how sure it is, and where it comes from. `advice` is what findings
     advise to write into the campaign.
     """
-    about = dict(project or {})
+    about, files = dict(project or {}), inputs_sha256 or {}
     language, logo = about.pop("language", "en"), about.pop("logo", "")
     first, *usable = (*remaining_usable(answer), headline(answer))
     head: list[Block] = [
@@ -146,7 +147,7 @@ def result_blocks(
     folded("Pair by pair", "pairs", words, _pairs(answer))
     if scene is not None:
         words = "how the answer was made, and from which files"
-        made = _provenance(answer, scene, campaign, inputs_sha256 or {})
+        made = _provenance(answer, scene, campaign, files)
         folded("Provenance", "provenance", words, made)
     return Blocks(
         title,
@@ -155,6 +156,7 @@ def result_blocks(
         project=tuple((k, v) for k in _PROJECT if (v := about.get(k))),
         logo=logo,
         language="de" if language == "de" else "en",
+        names=frozenset() if scene is None else names_of(scene, title, *files, *about.values()),
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from importlib import import_module
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from roomfit.base.findings import Code, Finding, Severity
@@ -18,6 +19,8 @@ from roomfit.report.wording import DASH, Translator, translator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from roomfit.room.scene import Scene
 
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
 
@@ -65,7 +68,7 @@ class Drawing:
     choices: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     chosen: int = 0
-    language: str = "en"
+    say: Translator | None = None  # its words in another language
 
     @cached_property
     def figure(self) -> Figure:
@@ -73,9 +76,8 @@ class Drawing:
         module, _, function = self.maker.rpartition(".")
         found = import_module(f"roomfit.report.{module or 'figures'}")
         figure: Figure = getattr(found, function)(*self.of)
-        if self.language != "en":
-            say_in: Any = import_module("roomfit.report.figures").say_in
-            say_in(figure, translator(self.language))
+        if self.say is not None:
+            import_module("roomfit.report.figures").say_in(figure, self.say)
         return figure
 
     @cached_property
@@ -127,6 +129,7 @@ class Blocks:
     project: tuple[tuple[str, str], ...] = ()
     logo: str = ""  # a data URL
     language: str = "en"
+    names: frozenset[str] = frozenset()  # of walls, places, persons: the same in every language
 
     def drawings(self) -> tuple[Drawing, ...]:
         """Return all figures, in their order."""
@@ -143,11 +146,20 @@ def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
 # ---------------------------------------------------------------- languages
 
 
+def names_of(scene: Scene, *others: str) -> frozenset[str]:
+    """Return the names in a scene, and others, as `Blocks` has them."""
+    room, points = scene.room, (*scene.sources, *scene.receivers)
+    named = (*room.mesh.surfaces, *room.states, *points)
+    return frozenset((*room.materials, *(one.name for one in named), *others))
+
+
 def in_its_language(answer: Blocks) -> Blocks:
     """Return an answer with all its texts in its language; one that has them stays as it is."""
     if answer.language == "en":
         return answer
-    said: Blocks = _said(answer, translator(answer.language), answer.language)
+    found = [f for b in _flat(answer.blocks) if isinstance(b, Findings) for f in b.findings]
+    files = [PurePath(file).name for f in found for file in f.about.files]
+    said: Blocks = _said(answer, translator(answer.language, answer.names.union(files)))
     return said
 
 
@@ -158,15 +170,15 @@ _WORDS = (
 )
 
 
-def _said(value: Any, say: Translator, language: str) -> Any:
+def _said(value: Any, say: Translator) -> Any:
     match value:
         case str():
             return say(value)
         case Column():
             return value._replace(name=say(value.name))
         case tuple() | list():
-            return type(value)(_said(one, say, language) for one in value)
-        case Drawing() if value.language != "en":
+            return type(value)(_said(one, say) for one in value)
+        case Drawing() if value.say is not None:
             return value
         case Table():
             columns = value.described()
@@ -175,9 +187,9 @@ def _said(value: Any, say: Translator, language: str) -> Any:
     if not is_dataclass(value) or isinstance(value, type):
         return value
     own = {f.name: getattr(value, f.name) for f in fields(value) if f.name in _WORDS}
-    changed = {name: _said(one, say, language) for name, one in own.items()}
+    changed = {name: _said(one, say) for name, one in own.items()}
     if isinstance(value, Drawing):
-        changed["language"] = language
+        changed["say"] = say
     return replace(value, **changed)
 
 

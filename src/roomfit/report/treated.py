@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from roomfit.report.blocks import (
     Part,
     Sentence,
     Terms,
+    names_of,
 )
 from roomfit.report.doubts import serious_lines
 from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_rows
@@ -47,7 +49,14 @@ def describe(treatment: Treatment) -> Blocks:
         title = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
         shown = _arrangement(treatment, a)
         blocks.append(Part(f"{title}, cost {a.cost:g}", shown, folded=True))
-    return Blocks("What to hang where", tuple(head), tuple(blocks), "treatment.json")
+    shown = Blocks("What to hang where", tuple(head), tuple(blocks), "treatment.json")
+    return replace(shown, names=_names(treatment))
+
+
+def _names(treatment: Treatment, *others: str) -> frozenset[str]:
+    hung = [h for a in treatment.arrangements for h in a.hung]
+    own = [name for h in hung for name in (h.surface, h.product)]
+    return names_of(treatment.room.scene, *own, *others)
 
 
 def _head(treatment: Treatment) -> tuple[Block, ...]:
@@ -154,6 +163,7 @@ def client_blocks(treatment: Treatment, project: Mapping[str, str], measured: st
         project=tuple((k, project[k]) for k in ("client", "author") if k in project),
         logo=project.get("logo", ""),
         language=project.get("language", "en"),
+        names=_names(treatment, *project.values()),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from itertools import groupby
@@ -43,31 +43,36 @@ _UNITS = r"k?Hz|kPa|m?s|dB|m[²³2]?|T20|T30|EDT|C50|C80|D50|G|STI|J?NDs?"
 _SIGNS = r"\s()±+\N{MINUS SIGN}\N{EN DASH}→:;,/%°<>=~▲?|\N{MULTIPLICATION SIGN}-"
 _NUMBERS = re.compile(rf"(?:[{_SIGNS}]|\d+(?!\d)(?:\.\d+(?!\d))?k?|\b(?:{_UNITS})\b)+")
 _SHORT = 8  # a short entry, as of "and", joins parts of a sentence, never a whole one
+_NAMED = ("source", "receiver")  # words between braces that stand for names alone
+_VEIL = 0xF0000  # letters that no text has
 
 
 @cache
-def translator(language: str) -> Translator:
+def translator(language: str, names: frozenset[str] = frozenset()) -> Translator:
     """Return what gives a text of a page in its language; what has no translation stays English.
 
-    Its table is ``templates/LANGUAGE.toml``.
+    Its table is ``templates/LANGUAGE.toml``; for `names` see `translator_by`.
     """
     if language == "en":
         return str
     text = files("roomfit.report").joinpath(f"templates/{language}.toml").read_text("utf-8")
-    return translator_by(tomllib.loads(text))
+    return translator_by(tomllib.loads(text), names)
 
 
-def translator_by(table: Mapping[str, str]) -> Translator:
+def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Translator:
     """Return what translates whole texts by a table of them.
 
     Words between braces in an entry stand for names, numbers and other entries. Numbers have the
-    decimal separator of the entry "0.1".
+    decimal separator of the entry "0.1". `names`, which others gave to walls, places and files,
+    stay as they are, be they words of the table.
 
     Examples
     --------
     >>> say = translator_by({"{n} of {all} bands": "{n} von {all} Bändern", "0.1": "0,1"})
     >>> say("3 of 6 bands"), say("0.25 s"), say("brick")
     ('3 von 6 Bändern', '0,25 s', 'brick')
+    >>> translator_by({"all": "alle", "{a} and {b}": "{a} und {b}"}, ["all"])("all and all")
+    'all und all'
     """
     point = table.get("0.1", "0.1")[1]
     holes = []
@@ -76,18 +81,36 @@ def translator_by(table: Mapping[str, str]) -> Translator:
     for english in sorted(lengths, key=lengths.__getitem__, reverse=True):
         literal = re.escape(english).replace(r"\{", "{").replace(r"\}", "}")
         holes.append((re.compile(_HOLE.sub(r"(?P<\1>.+?)", literal), re.DOTALL), english))
+    # a name with a word that joins parts of a sentence is one letter meanwhile
+    short = [_HOLE.split(entry)[2:-1:2] for entry, n in lengths.items() if n == _SHORT]
+    joints = {word for words in short for word in words if word.strip()}
+    parted = sorted((n for n in names if any(j in n for j in joints)), key=len, reverse=True)
+    veils = {name: chr(_VEIL + i) for i, name in enumerate(parted)}
+    own = {veils.get(name, name) for name in names}
+
+    def say(text: str) -> str:
+        for name, veil in veils.items():
+            text = text.replace(name, veil)
+        text = said(text)
+        for name, veil in veils.items():
+            text = text.replace(veil, name)
+        return text
 
     @cache
-    def say(text: str) -> str:
+    def said(text: str) -> str:
+        if text in own:
+            return text
         if text in table:
             return table[text]
         if not text.strip() or _NUMBERS.fullmatch(text):
             return re.sub(r"(?<=\d)\.(?=\d)", point, text)
         for pattern, english in holes:
             found = pattern.fullmatch(text)
-            if found and (lengths[english] > _SHORT or not text.endswith(".")):
-                parts = {name: say(part) for name, part in found.groupdict().items()}
-                return table[english].format(**parts)
+            if found is None or (lengths[english] == _SHORT and text.endswith(".")):
+                continue
+            parts = found.groupdict()
+            if all(parts[hole] in own for hole in _NAMED if hole in parts):
+                return table[english].format(**{hole: said(x) for hole, x in parts.items()})
         return text
 
     return say
