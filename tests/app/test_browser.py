@@ -372,7 +372,7 @@ def test_a_remedy_is_shown_applied_and_undone_by_the_keyboard(
         visit.tab("Measurements")
         advice = page.get_by_role("button", name=re.compile("What the findings advise"))
         advice.press("Enter")
-        remedy = page.get_by_role("button", name="Set level per-file for LS1_MP3.wav")
+        remedy = page.get_by_role("button", name='Set level = "per-file" for LS1_MP3.wav')
         remedy.wait_for()
         visit.is_readable()
         remedy.press("Enter")

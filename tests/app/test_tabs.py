@@ -301,7 +301,7 @@ def test_a_remedy_is_shown_then_written_then_undone(folder: Path) -> None:
         view = {**ANSWER, "advised": [ADVISED]}
         await answer(bench, tab, copy.deepcopy(view))
         assert "Position inconsistent" in shown(client) and "Undo" not in shown(client)
-        await press(button(client, "Set positions fit"))
+        await press(button(client, 'Set positions = "fit"'))
         text = shown(client)
         assert "[identify]" in text and "not stated" in text and tab.advice.dialog.value
         assert project.campaign_file(folder).read_text() == before

@@ -122,10 +122,10 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
     }
     tasks.ask_treatment(hall, question)
     assert read_treatment(hall / project.TREATMENT_QUESTION).surfaces["ceiling"].free_m2 == 70.0
-    said = tasks.treat(nothing, hall)
+    tasks.treat(nothing, hall)
     sentence = tasks.treatment_view(hall)["sentence"]
     assert " m² mineral-wool-50-mm on ceiling: T30" in sentence
-    assert said.split()[: len(sentence.split())] == sentence.split()
+    assert (hall / project.TREATMENT / "treatment.png").is_file()  # for Word
     assert tasks.treatment_view(hall)["question"] == question
     project.set_room(hall, shoebox=(13.0, 8.0, 4.0))
     assert tasks.answer_view(hall, project.MEAN)["stale"]

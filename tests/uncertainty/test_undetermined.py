@@ -39,7 +39,7 @@ def test_floor_and_ceiling_are_reported_together_and_their_difference_as_open():
     (found,) = determined(NAMES, a[:, None], covariance[None], prior, areas_m2, 1)
 
     assert found.sentence == (
-        "floor and ceiling together 0.110 +- 0.005; their difference is not in the data"
+        "floor and ceiling together 0.110 ± 0.005; their difference is not in the data"
     )
     (difference,) = found.combinations[1].differences
     assert difference.weights.tolist() == [-1.0, 1.0, 0.0]

@@ -135,16 +135,15 @@ class ReportTab(elements.Tab):
         with self.place:
             self.answer = ui.element("div").style("width: 100%")
             self.links = ui.element("div")
-        self.exported: dict[str, list[str]] = {}  # files by format, of the answer that is shown
+        self.exported: dict[str, str] = {}  # file by format, of the answer that is shown
 
     async def export(self, wanted: str) -> None:
         with elements.saying_errors(self.answer):
-            files = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
+            file = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
             if self.answer.is_deleted:  # the page was closed meanwhile
                 return
-            if len(files) == 1:
-                with self.answer:  # what was clicked may have been drawn anew
-                    ui.navigate.to(f"/files/{quote(files[0])}?save=1")
+            with self.answer:  # what was clicked may have been drawn anew
+                ui.navigate.to(f"/files/{quote(file)}?save=1")
             await self.refresh()
 
     async def refresh(self) -> None:
@@ -158,7 +157,7 @@ class ReportTab(elements.Tab):
                 self._show_answer(found)
         if elements.emptied(self.links, dict(self.exported)):
             with self.links:
-                for file in [file for files in self.exported.values() for file in files]:
+                for file in self.exported.values():
                     elements.markup(
                         f'<a href="files/{escape(quote(file))}?save=1">{escape(file)}</a>'
                     )

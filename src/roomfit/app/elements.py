@@ -274,8 +274,7 @@ class Advice:
     def _show_entry(self, entry: Mapping[str, Any]) -> None:
         name, options = str(entry["code"]).replace("-", " "), list(entry["options"])
         text = f"{name[:1].upper()}{name[1:]}" + (f", {entry['n']} times" if entry["n"] > 1 else "")
-        # in words: the line that is written stands in the preview
-        words = [str(o["words"]).replace(" = ", " ").replace('"', "") for o in options]
+        words = [str(option["words"]) for option in options]
         chosen: dict[str, Any] = {"number": 0}
         with ui.element("div").classes("bar"):
             markup(finding_html(entry["severity"], text))

@@ -501,14 +501,13 @@ def listed(folder: Path, kind: str) -> list[Path]:
     return sorted(file for file in files if not file.name.startswith("."))
 
 
-def export(folder: Path, wanted: str) -> list[str]:
-    """Write the best result's materials for another program; return the files, relative."""
+def export(folder: Path, wanted: str) -> str:
+    """Write the best result's materials for another program; return the file, relative."""
     check_known("no such format", wanted, _EXPORTS)
     is_client = wanted.startswith("client-")
     result = folder / TREATMENT / "client.html" if is_client else answer_file(folder)
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
     out = inside(folder, exports / _EXPORTS[wanted])
-    written = export_result(result, wanted.removeprefix("client-"), out, overwrite=True)
-    root = Path(os.path.realpath(folder))
-    return [Path(os.path.relpath(file, root)).as_posix() for file in written.files]
+    export_result(result, wanted.removeprefix("client-"), out, overwrite=True)
+    return f"{exports.name}/{out.name}"

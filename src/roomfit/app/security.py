@@ -83,7 +83,8 @@ class Door:
             return 400, "this server has another name"
         if not all(map(self.is_own_origin, _values(scope, b"origin"))):
             return 403, "a page of another origin has no business here"
-        if not _same(str(scope["path"])[: len(self.base) + 1], f"{self.base}/"):
+        begin = str(scope["path"])[: len(self.base) + 1].encode()
+        if not secrets.compare_digest(begin, f"{self.base}/".encode()):
             return 403, "open the address that `roomfit app` has printed: it holds the key"
         length = _values(scope, b"content-length")
         if any(not n.isascii() or not n.isdigit() or len(n) > 18 for n in length):
@@ -109,10 +110,6 @@ class Door:
 
 def _values(scope: Scope, name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
-
-
-def _same(found: str, wanted: str) -> bool:
-    return secrets.compare_digest(found.encode(), wanted.encode())
 
 
 class Guard:

@@ -241,7 +241,7 @@ def identify(progress: Progress, folder: Path, quick: bool) -> None:
     """Identify, as ``roomfit identify [--quick]`` does, into the folder of this kind of answer."""
     out = project.inside(folder, folder / (project.QUICK if quick else project.FULL))
     file = project.campaign_file(folder)
-    identify_to_folder(file, out, quick=quick, overwrite=True, progress=progress)
+    identify_to_folder(file, out, quick=quick, overwrite=True, png=True, progress=progress)
 
 
 def reverberation(folder: Path) -> None:
@@ -259,19 +259,19 @@ def demo(progress: Progress, folder: Path) -> None:
     write_measured_box(demo_plan(), folder, np.random.default_rng(1), progress)
 
 
-def treat(progress: Progress, folder: Path, doubted: bool = False) -> str:
-    """Choose what to hang where, as ``roomfit treat`` does; return the answer in words."""
+def treat(progress: Progress, folder: Path, doubted: bool = False) -> None:
+    """Choose what to hang where, as ``roomfit treat`` does."""
     project.answer_file(folder, or_decay_times=True)
-    answer = treat_to_folder(
+    treat_to_folder(
         project.campaign_file(folder),
         project.best_result(folder),
         folder / project.TREATMENT_QUESTION,
         project.inside(folder, folder / project.TREATMENT),
         wanted=Wanted(doubted=doubted),
         overwrite=True,
+        png=True,  # for Word
         progress=progress,
     )
-    return str(answer)
 
 
 def listen(

@@ -32,7 +32,7 @@ from roomfit.files.rooms import read_mesh
 from roomfit.files.schema import ResponseSpec, RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
 from roomfit.formats.model import UnchosenSpaceError
-from roomfit.report.check import recordings_blocks
+from roomfit.report.check import describe
 from roomfit.report.room_figure import MOST_FACES, outline_m
 from roomfit.report.wording import material_colour
 from roomfit.room.mesh import Mesh, area_vectors_m2, triangle_areas_m2
@@ -187,7 +187,7 @@ def _examine(folder: Path, view: dict[str, Any]) -> None:
         checked = check_campaign_recordings(campaign)
         view["advised"] = advice_view(checked.findings, campaign)
         view["findings"] += map(finding_content, checked.findings)
-        for table in recordings_blocks(checked).head:
+        for table in describe(checked).head:
             if isinstance(table, Table):
                 view["table"] = html_of(replace(table, kind="data"))
     except UnchosenChannelError as error:

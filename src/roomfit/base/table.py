@@ -93,10 +93,10 @@ def written(value: Value, form: str = "g", missing: str = "") -> str:
     raise TypeError(f"no cell of a table is a {type(value).__name__}")
 
 
-_WIDEST = 100
+_WIDEST, _GAP = 100, "  "
 
 
-def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
+def text_of(shown: Table, indent: str = "") -> str:
     """Return a table for a terminal: caption, heading, rows, notes.
 
     Smaller lines stand in brackets, or below where the table would be wider than 100 characters.
@@ -107,11 +107,12 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
     head: list[tuple[str, ...]] = [*zip(*heads, strict=True)] if any(shown.names) else []
     cells = [[_lines(v, c) for v, c in zip(row, columns, strict=False)] for row in shown.rows]
     grid = head + [tuple(_beside(x) for x in r) for r in cells]
-    if len(indent) + len(gap) * (len(columns) - 1) + sum(_widths(grid, columns)) > _WIDEST:
+    if len(indent) + len(_GAP) * (len(columns) - 1) + sum(_widths(grid, columns)) > _WIDEST:
         grid = head + [line for row in cells for line in zip_longest(*row, fillvalue="")]
     widths = _widths(grid, columns)
     rows = [
-        indent + gap.join(f"{x:{c.align}{w}}" for x, c, w in zip(row, columns, widths, strict=True))
+        indent
+        + _GAP.join(f"{x:{c.align}{w}}" for x, c, w in zip(row, columns, widths, strict=True))
         if len(row) == len(columns)
         else indent + row[0]
         for row in grid
@@ -131,7 +132,7 @@ def _widths(grid: Sequence[Sequence[str]], columns: Sequence[Column]) -> list[in
     return [max(map(len, own)) for own in zip(*whole, strict=True)]
 
 
-_ASCII = str.maketrans({"\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "\N{RIGHTWARDS ARROW}": ">"})
+_ASCII = str.maketrans({"\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "→": ">", "±": "+-"})
 
 
 def _lines(value: Value, column: Column) -> list[str]:

@@ -12,7 +12,7 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
@@ -37,8 +37,10 @@ from roomfit.files.results import check_disk_room, read_result_content
 from roomfit.identify import compile_kernels
 from roomfit.report.blocks import Blocks, Sentence
 from roomfit.report.html import page
+from roomfit.report.tables import mean_decay_times
 from roomfit.report.text import text
-from roomfit.report.wording import in_file_name
+from roomfit.report.wording import Series, count, in_file_name, mid_mean
+from roomfit.result import Compared, ComparedPair
 
 _LOG = logging.getLogger("roomfit")
 
@@ -46,8 +48,7 @@ _LOG = logging.getLogger("roomfit")
 Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
 ROOMS, FAILURES = "rooms", "failures"
 _ELSEWHERE = "another run is identifying this room"
-# Where the field quotes one number for a room.
-_MIDDLE_HZ = (500.0, 1000.0)
+_COMPARED = ("measured", "predicted", "mean_of_others", "jnd")
 _COLUMNS: tuple[str | Column, ...] = (
     *("room", "status", "result", "identifiable", "values"),
     *(Column(f"room_mean_{name}", ".4f") for name in ("absorption", "lower95", "upper95")),
@@ -272,15 +273,11 @@ def _answered(name: str, folder: Path, shown: str) -> RoomRow:
     content, _ = read_result_content(path)
     with complete("result", "a result.json as roomfit writes it"):
         centres_hz = np.array(content["bands_hz"], dtype=np.float64)
-        middle = np.isin(centres_hz, _MIDDLE_HZ)
-        middle = middle if middle.any() else np.ones(len(centres_hz), dtype=np.bool_)
         sure = np.array([m["identifiable"] for m in content["materials"].values()], dtype=bool)
-        means = {c["band_hz"]: c for c in reversed(content["combinations"]) if c["kind"] == "mean"}
-        chosen = [means[f] for f in centres_hz[middle] if f in means]
-        mean = [
-            float(np.mean([c[key] for c in chosen])) if chosen else np.nan
-            for key in ("absorption", "lower95", "upper95")
-        ]
+        means = {c["band_hz"]: c for c in content["combinations"] if c["kind"] == "mean"}
+        keys = ("absorption", "lower95", "upper95")
+        rows = (np.array([means[f][key] for f in centres_hz.tolist()]) for key in keys)
+        times = mean_decay_times([_pair(own) for own in content["pairs"]])
         codes = [f["code"] for f in content["findings"] if f["severity"] != "info"]
         return RoomRow(
             name,
@@ -288,27 +285,23 @@ def _answered(name: str, folder: Path, shown: str) -> RoomRow:
             shown,
             identifiable=int(sure.sum()),
             values=int(sure.size),
-            mean=(mean[0], mean[1], mean[2]),
-            decay_s=_decay_s(content["pairs"], middle),
+            mean=Series("", *rows).mid_s(centres_hz),
+            decay_s=(np.nan, np.nan)
+            if times is None
+            else (mid_mean(centres_hz, times[1]), mid_mean(centres_hz, times[2])),
             chi2_reduced=max((x for x in content["fit"]["phi"] if x is not None), default=np.nan),
             findings=tuple(dict.fromkeys(codes)),
             seconds=float(content["fit"]["seconds"]),
         )
 
 
-def _decay_s(pairs: Sequence[Any], middle: Any) -> tuple[float, float]:
-    """Return the mean decay time of the fitted pairs, measured and predicted: T20, else T30."""
-    for key in ("T20_s", "T30_s", "EDT_s"):
-        own = [p["parameters"][key] for p in pairs if p["use"] == "fit" and key in p["parameters"]]
-        both = np.array(
-            [[p["measured"], p["predicted"]] for p in own], dtype=np.float64
-        )  # null becomes NaN
-        if both.size:
-            known = both[:, :, middle].transpose(1, 0, 2).reshape(2, -1)
-            known = known[:, np.isfinite(known).all(axis=0)]
-            if known.size:
-                return float(known[0].mean()), float(known[1].mean())
-    return np.nan, np.nan
+def _pair(own: Mapping[str, Any]) -> ComparedPair:
+    """Return a pair of a ``result.json``; null becomes NaN."""
+    found = {
+        name: Compared(*(np.array(p[key], dtype=np.float64) for key in _COMPARED))
+        for name, p in own["parameters"].items()
+    }
+    return ComparedPair(own["source"], own["receiver"], own["use"], found, None)
 
 
 def _write_table(out: Path, rows: Sequence[RoomRow]) -> None:
@@ -327,7 +320,9 @@ def described(rows: Sequence[RoomRow]) -> Blocks:
     """Return how many rooms are done and how many are not, and a table of all."""
     kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting", "elsewhere")
     numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
-    lead = f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
+    lead = (
+        f"{count(len(rows), 'room')}: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
+    )
     shown: list[Sequence[Value]] = []
     for row in rows:
         mean, lower, upper = row.mean

@@ -197,4 +197,4 @@ def _in_words(found: Displacement) -> str:
 def _metres(x_m: float, sd_m: float, sign: str = "") -> str:
     """Return a length with its standard deviation, never of 0.00 m."""
     digits = 2 if sd_m >= 0.005 else 3
-    return f"{x_m:{sign}.{digits}f} +- {sd_m:.{digits}f} m"
+    return f"{x_m:{sign}.{digits}f} ± {sd_m:.{digits}f} m"

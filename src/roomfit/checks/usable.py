@@ -15,7 +15,7 @@ from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks import room
 from roomfit.checks.arrivals import arrival_findings
-from roomfit.checks.evidence import Recorded, about_files
+from roomfit.checks.evidence import Recorded, about_files, files_in_words
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.fit.measurements import measured_scene, median_decay_s
 from roomfit.model.eyring import schroeder_hz
@@ -132,10 +132,8 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
     findings = []
     for what, files in by_reason.items():
         error = refused[files[0]]
-        names = ", ".join(m.name for m in files[:4]) + (" and more" if files[4:] else "")
-        who = f"all {n_all} files" if len(files) == n_all else f"{len(files)} of {n_all} files"
         hint = "" if error.hint == said else f" Try: {error.hint}."
-        text = f"Of {who} ({names}): {what}: {error.found}.{hint}"
+        text = f"Of {files_in_words(files, n_all)}: {what}: {error.found}.{hint}"
         numbers = {"files": [m.where for m in files]}
         findings.append(Finding(Code.RECORDING_UNUSABLE, about_files(*files), text, numbers))
     return findings

@@ -18,7 +18,7 @@ from roomfit.files.remedies import advice, advised, changed_since, chosen, uncho
 from roomfit.files.responses.recordings import UnchosenChannelError
 from roomfit.files.schema import RoomSpec
 from roomfit.report.blocks import Blocks, Drawing
-from roomfit.report.check import recordings_blocks, room_blocks
+from roomfit.report.check import describe, room_blocks
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
 
@@ -82,7 +82,7 @@ def _check(
     with shown_progress(_EXAMINING):
         checked = check_campaign_recordings(campaign, out, between_hz=between_hz, **how)
     of_recordings = advice(checked.findings, campaign)
-    say(f"\n{text(recordings_blocks(checked, of_recordings))}")
+    say(f"\n{text(describe(checked, of_recordings))}")
     if of_room or of_recordings:
         say(how_to_write(file))
     if out is not None:

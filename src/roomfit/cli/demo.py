@@ -20,12 +20,8 @@ from roomfit.result import Result
 
 
 def demo(**options: Any) -> Blocks:
-    """Return absorption beside the truth, see `run_demo`."""
-    return _shown(*run_demo(**options))
-
-
-def _shown(answer: Result, true_absorption: FloatArray) -> Blocks:
-    """Return absorption beside the truth, and how well it was found."""
+    """Return absorption beside the truth, and how well it was found, see `run_demo`."""
+    answer, true_absorption = run_demo(**options)
     covered = (answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95)
     sure, rows = answer.identifiable, []
     for i, name in enumerate(answer.materials):

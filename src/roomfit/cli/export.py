@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
@@ -21,17 +21,10 @@ from roomfit.settings import Settings
 
 
 def export(*, result: ResultFile, format: str, out: Path, **how: Any) -> str:  # noqa: A002
-    """Return the files that `export_result` writes, and what their reader must know."""
-    written = export_result(result, format, out, **how)
-    texts = (f"  {f.severity:<8} {f.sentence}" for f in written.findings)
-    return "\n".join([*map(str, written.files), *(filled(text, 11) for text in texts)])
-
-
-class ExportedFiles(NamedTuple):
-    """Files that were written, and what their reader must know."""
-
-    files: tuple[Path, ...]
-    findings: tuple[Finding, ...]
+    """Return the file that `export_result` writes, and what its reader must know."""
+    findings = export_result(result, format, out, **how)
+    texts = (f"  {f.severity:<8} {f.sentence}" for f in findings)
+    return "\n".join([str(out), *(filled(text, 11) for text in texts)])
 
 
 def export_result(
@@ -41,8 +34,8 @@ def export_result(
     *,
     scattering: float | None = None,
     overwrite: bool = False,
-) -> ExportedFiles:
-    """Write the materials of a result in the format of another program.
+) -> tuple[Finding, ...]:
+    """Write the materials of a result for another program; return what its reader must know.
 
     `InputError` where the result cannot be read, the format is unknown, or the file exists already.
 
@@ -70,10 +63,10 @@ def export_result(
     ...         "material,band_hz,absorption,lower95,upper95,identifiable\\n"
     ...         "carpet,500,0.3,0.25,0.36,true\\n"
     ...     )
-    ...     written = export_result(result, "isimpa", out)
+    ...     findings = export_result(result, "isimpa", out)
     ...     print(out.read_text().strip())
     carpet = < 30 30 30 30 30 30 > L < 10 10 10 10 10 10 >
-    >>> print(written.findings[0].sentence)
+    >>> print(findings[0].sentence)
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
@@ -102,7 +95,7 @@ def export_result(
         text, findings = export_materials(table, wanted, usual)
         content, findings = text.encode(), (*findings, *table.findings)
     write_bytes_atomically(out, content)
-    return ExportedFiles((out,), findings)
+    return findings
 
 
 def _of_files(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding, ...]]:

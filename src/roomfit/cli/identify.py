@@ -103,6 +103,4 @@ def identify_to_folder(
             from roomfit.report.figures import write_pictures  # matplotlib, which this first needs
 
             write_pictures(folder, shown, png_too=png)
-    if progress is not None:
-        progress(1.0)
     return answer

@@ -73,8 +73,6 @@ def predict_to_folder(
             records = grid_records(predicted, question.scene)
             whole_files.write_text_atomically(folder / "grid.csv", csv_of(records))
         write_pictures(folder, Blocks("", (*shown.drawings(), *drawings), ()), png_too=png)
-    if progress is not None:
-        progress(1.0)
     return predicted
 
 

@@ -45,11 +45,12 @@ def treat_to_folder(
     *,
     wanted: Wanted | None = None,
     overwrite: bool = False,
+    png: bool = False,
     progress: Progress | None = None,
 ) -> Treatment:
     """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder.
 
-    And client.html, two pages that `roomfit export` makes PDF, and with these pictures Word, of.
+    And client.html, two pages that `roomfit export` makes PDF of, and Word with pictures as `png`.
     """
     whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
@@ -84,7 +85,7 @@ def treat_to_folder(
 
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
         whole_files.write_text_atomically(folder / "treatment.html", page(shown))
-        write_pictures(folder, shown, png_too=True)
+        write_pictures(folder, shown, png_too=png)
         own = client_blocks(answer, project, _measured(campaign))
         whole_files.write_text_atomically(folder / "client.html", page(own))
     return answer

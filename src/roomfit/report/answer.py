@@ -250,16 +250,16 @@ def key_figures(answer: Result) -> tuple[tuple[str, str], ...]:
     figures = [(f"{mean} ({low}{wording.DASH}{high})", words)]
     if not known.any():
         figures = [("?", "mean absorption of the room: determined in no band")]
-    pairs = tables.compared_pairs(answer)
+    pairs = tables.compared_pairs(answer.pairs)
     known_keys = tables.parameter_keys(pairs)
     key = wording.decay_time_key(known_keys) or next(iter(known_keys), None)
     if key is None:
         figures.append((wording.DASH, "no measured room parameter to compare with"))
     else:
         figures.append(_error_figure(answer, pairs, key))
-    if (times := tables.mean_decay_times(answer)) is not None:
+    if (times := tables.mean_decay_times(answer.pairs)) is not None:
         value = wording.mid_mean(centres, times[1])
-        words = f"measured {times[0]} at {wording.mid_words(centres)}"
+        words = f"measured {times[0]} at {wording.mid_words(centres, times[1])}"
         figures.append((f"{wording.number(value, 2)} s", words))
     wanted = ~tables.fixed_coefficients(answer)
     sure = str(int((answer.identifiable & wanted).sum()))
@@ -278,7 +278,7 @@ def _error_figure(answer: Result, pairs: list[ComparedPair], key: str) -> tuple[
 
 def _decay_times(answer: Result) -> list[Block]:
     """Return measured and predicted decay times over frequency, means over the pairs."""
-    found = tables.mean_decay_times(answer)
+    found = tables.mean_decay_times(answer.pairs)
     if found is None:
         return []
     symbol, measured, predicted = found
@@ -298,7 +298,7 @@ def _decay_times(answer: Result) -> list[Block]:
 def _absorption(answer: Result) -> list[Block]:
     more: list[Block] = [*tables.object_tables(answer), *tables.source_tables(answer)]
     sentences = tuple(
-        (wording.hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
+        (wording.hertz(float(centre)), f"{sentence}.")
         for centre, sentence in zip(answer.bands.centres_hz, answer.sentences, strict=False)
         if sentence
     )

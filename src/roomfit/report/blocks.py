@@ -149,8 +149,10 @@ def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
 def names_of(scene: Scene, *others: str) -> frozenset[str]:
     """Return the names in a scene, and others, as `Blocks` has them."""
     room, points = scene.room, (*scene.sources, *scene.receivers)
-    named = (*room.mesh.surfaces, *room.states, *points)
-    return frozenset((*room.materials, *(one.name for one in named), *others))
+    of_walls = (*room.materials, *(s.name for s in room.mesh.surfaces))
+    return frozenset(
+        (*of_walls, *(s.name for s in room.states), *(p.name for p in points), *others)
+    )
 
 
 def in_its_language(answer: Blocks) -> Blocks:

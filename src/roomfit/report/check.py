@@ -42,12 +42,7 @@ def room_blocks(title: str, check: RoomCheck, advice: Advice | None = None) -> B
     return Blocks(title, (Sentence(title), Terms(terms), materials, Sentence(last)), (findings,))
 
 
-def describe(checked: CheckedRecordings) -> Blocks:
-    """Return recordings by band before a fit, and what is wrong with them."""
-    return recordings_blocks(checked)
-
-
-def recordings_blocks(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks:
+def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks:
     """Return recordings by band before a fit, what is wrong with them, and what is advised."""
     rows: list[Sequence[Value]] = []
     for i, m in enumerate(checked.measurements):

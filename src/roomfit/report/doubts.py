@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from types import MappingProxyType
@@ -34,11 +35,9 @@ _MOST_BANDS = 8  # named one by one
 
 def serious_lines(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Return each kind of serious finding once, in a line: what it is, and what cures it."""
-    serious = [f for f in findings if f.severity == "serious"]
     lines = []
-    for code in list(dict.fromkeys(f.code for f in serious))[:4]:
+    for code, times in Counter(f.code for f in findings if f.severity == "serious").items():
         cure = _REASONS.get(code, {}).get("cure", "read what it says under Findings")
-        times = sum(f.code is code for f in serious)
         lines.append(f"Serious: {_why(code)}{f' ({times} times)' * (times > 1)}. Cure: {cure}.")
     return tuple(lines)
 
@@ -140,7 +139,7 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
     ----------
     .. [1] ISO 3382-2:2008, annex A; as in `roomfit.checks.decay.decay_misses`.
     """
-    pairs, rows = compared_pairs(answer), []
+    pairs, rows = compared_pairs(answer.pairs), []
     known = parameter_keys(pairs)
     early = next((key for key in ("C80_dB", "C50_dB", "D50_percent") if key in known), None)
     for key in filter(None, (wording.decay_time_key(known), early)):

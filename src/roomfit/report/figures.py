@@ -75,10 +75,10 @@ def _with_curves(element: str, chosen: int) -> str:
     return "".join((*parts, element[at:]))
 
 
-def png(figure: Figure, dpi: int = 130) -> bytes:
+def png(figure: Figure) -> bytes:
     """Return a figure as the bytes of a PNG file."""
     stream = io.BytesIO()
-    figure.set_dpi(dpi)
+    figure.set_dpi(130)
     canvas: Any = FigureCanvasAgg(figure)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", _UNKNOWN_LETTER)
@@ -219,17 +219,10 @@ def panels_of(n: int, across: str, up: str, height_in: float) -> tuple[Figure, l
     return figure, grid[:n]
 
 
-def figure_legend(
-    figure: Figure,
-    columns: int = 4,
-    title: str = "",
-    *,
-    gaps_in: tuple[float, float] = (0.16, 0.32),
-) -> None:
+def figure_legend(figure: Figure, columns: int = 4, title: str = "") -> None:
     """Name once, above all panels, what any of them shows, and put the panels below it.
 
-    With so much between columns and rows of panels. A layout that measures every label takes as
-    long as all else that is drawn.
+    A layout that measures every label takes as long as all else that is drawn.
     """
     found = (axes.get_legend_handles_labels() for axes in figure.axes)
     once = {x: h for handles, labels in found for h, x in zip(handles, labels, strict=True)}
@@ -244,7 +237,7 @@ def figure_legend(
     spans = across - left_in - right_in, tall - above_in - below_in
     shares = (  # of the size of a panel
         gap * n / (span - gap * (n - 1))
-        for gap, n, span in zip(gaps_in, counts, spans, strict=True)
+        for gap, n, span in zip((0.16, 0.32), counts, spans, strict=True)  # inches between them
     )
     figure.subplots_adjust(
         left_in / across, below_in / tall, 1.0 - right_in / across, 1.0 - above_in / tall, *shares

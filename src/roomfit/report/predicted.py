@@ -37,12 +37,6 @@ if TYPE_CHECKING:
     from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
 
-SHOWN = tuple(
-    (name, f"{p.symbol} {p.unit}".rstrip(), p.decimals) for name, p in wording.PARAMETERS.items()
-)
-"""Parameters in the order of tables, each with its label and its decimals."""
-
-
 # ---------------------------------------------------------------- the decay time
 
 
@@ -110,7 +104,8 @@ def decay_answer(
     if name is None:
         return None
     v, symbol, centres_hz = means[name], wording.parameter(name).symbol, bands.centres_hz
-    what, is_measured = f"{symbol} at {wording.mid_words(centres_hz)}", np.isfinite(v.measured)
+    where, is_measured = wording.mid_words(centres_hz, v.predicted), np.isfinite(v.measured)
+    what = f"{symbol} at {where}"
     if not is_changed or v.change is None:
         label = after if is_changed else "predicted"
         later = wording.Series(label, v.predicted, v.lower95, v.upper95)
@@ -118,7 +113,9 @@ def decay_answer(
         if is_changed or not is_measured.any():
             return DecayAnswer(symbol, f"{text}.", centres_hz, (later,))
         earlier = wording.Series("measured", v.measured)
-        text += f"; measured {wording.number(earlier.mid_s(centres_hz)[0], 2)} s."
+        text += f"; measured {wording.number(earlier.mid_s(centres_hz)[0], 2)} s"
+        own = wording.mid_words(centres_hz, v.measured)
+        text += "." if own == where else f" at {own}."
         return DecayAnswer(symbol, text, centres_hz, (earlier, later))
     c = v.change
     later = wording.Series(after, v.predicted, v.lower95, v.upper95)
@@ -183,10 +180,10 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     is expected after, and the change, with their intervals. `limits` are of the decay time.
     """
     is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
+    said = [(why, f.about) for code, why in _OPEN for f in predicted.findings if f.code is code]
     # by band why the absorption may be split otherwise among walls; "" where it may not
     open_for = tuple(
-        next((why for code, why in _OPEN if _is_said(predicted, code, f)), "")
-        for f in centres_hz.tolist()
+        next((why for why, about in said if about.in_band(f)), "") for f in centres_hz.tolist()
     )
     means = named_values(predicted.mean, None)
     answer = decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
@@ -254,24 +251,19 @@ def grid_drawings(predicted: Predicted, scene: Scene) -> tuple[Drawing, ...]:
     )
 
 
-def _is_said(predicted: Predicted, code: Code, band_hz: float) -> bool:
-    return any(f.code is code and f.about.in_band(band_hz) for f in predicted.findings)
-
-
 def _numbers(predicted: Predicted) -> Iterator[tuple[str, str]]:
     """Yield what is predicted at mid frequencies beside the decay time."""
     named = named_values(predicted.mean, predicted.sti)
     centres = predicted.bands.centres_hz
-    for key, label, decimals in SHOWN:
-        v = named.get(key)
-        if key not in ("C50_dB", "STI", "G_dB") or v is None:
+    for key in ("C50_dB", "G_dB", "STI"):
+        if (v := named.get(key)) is None:
             continue
-        rows = (v.predicted, v.lower95, v.upper95)
+        how, rows = wording.PARAMETERS[key], (v.predicted, v.lower95, v.upper95)
         values = ((r[0] if key == "STI" else wording.mid_mean(centres, r)) for r in rows)
-        value, low, high = (wording.number(x, decimals) for x in values)
+        value, low, high = (wording.number(x, how.decimals) for x in values)
         if value != wording.DASH:
-            where = "" if key == "STI" else f" at {wording.mid_words(centres)}"
-            yield value, f"{label}{where}, predicted; {low} to {high} at 95 %"
+            where = "" if key == "STI" else f" at {wording.mid_words(centres, v.predicted)}"
+            yield value, f"{how.label}{where}, predicted; {low} to {high} at 95 %"
 
 
 def parameter_rows(
@@ -289,10 +281,9 @@ def parameter_rows(
     `title` stands in place of the names.
     """
     rows = []
-    for name, label, decimals in SHOWN:
-        if name not in table:
-            continue
+    for name in (name for name in wording.PARAMETERS if name in table):
         v, c = table[name], table[name].change
+        label, decimals = wording.PARAMETERS[name].label, wording.PARAMETERS[name].decimals
         has_measured = bool(np.isfinite(v.measured).any())
         steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
         measured = [
@@ -379,7 +370,7 @@ def diffuse_blocks(found: DiffuseAbsorption) -> Blocks:
     """Return the mean by Eyring, decay times, and mean and materials by each formula."""
     centres = found.bands.centres_hz
     measured = zip(found.decay_s.tolist(), found.decay_sd_s.tolist(), strict=True)
-    times = [f"{wording.number(t, 2)} +- {wording.number(sd, 2)}" for t, sd in measured]
+    times = [Cell(f"{wording.number(t, 2)} ± {wording.number(sd, 2)}") for t, sd in measured]
     tables = list(
         wording.band_tables(
             "Mean over positions, with its standard deviation", "", centres,

@@ -94,9 +94,10 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
     figure = figures.new_figure(9.0, 2.8 * len(maps) + 0.6)
     panels = figure.subplots(len(maps), 2, squeeze=False)
     for row, (name, both) in zip(panels, maps.items(), strict=True):
-        how, where = wording.parameter(name), f", {wording.mid_words(predicted.bands.centres_hz)}"
+        how, centres_hz = wording.parameter(name), predicted.bands.centres_hz
         unit = f" ({how.unit})" if how.unit else ""
-        words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
+        where = f", {wording.mid_words(centres_hz, centres_hz)}" if name != "STI" else ""
+        words = f"{how.symbol}{unit}{where}"
         titles = (words, f"width of its 95 % interval{unit}")
         for axes, values, title in zip(row, both, titles, strict=True):
             table = np.full((y_m.size, x_m.size), np.nan)

@@ -1,4 +1,4 @@
-"""The progress of a long job: stage, share, remaining time; drawn, in a notebook, or as lines.
+"""The progress of a long job: stage, share, remaining time; in one line, or in many.
 
 Stages are messages of the logger ``roomfit`` (INFO; details are DEBUG), the share comes from the
 functions that take ``progress``. Nothing is shown unless a job runs within `shown_progress`.
@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # it needs numpy, which `roomfit --help` must not wait for
     from roomfit.base.typing import Progress
@@ -99,17 +99,11 @@ class _Stages(logging.Handler):
         stage = f": {self.stage}" if self.stage else ""
         return f"{100 * done:3.0f} %  {_clock(now_s)}  {self.description}{stage}{left}"
 
-    def draw(self, ended: threading.Event, bar: Any) -> None:
+    def draw(self, ended: threading.Event) -> None:
         """Draw again and again, by a thread, so that the clock moves during a long step, too."""
         while not ended.wait(_EVERY_S):
-            if bar is None:
-                self.write(f"\r{self.text()[: _width()]:<{_width()}}")
-            else:
-                bar.value, bar.description = self.reports[-1][1], self.text()
-        if bar is None:
-            self.write(f"\r{'':{_width()}}\r")
-        else:
-            bar.close()
+            self.write(f"\r{self.text()[: _width()]:<{_width()}}")
+        self.write(f"\r{'':{_width()}}\r")
 
 
 def _clock(seconds: float) -> str:
@@ -125,10 +119,10 @@ def _width() -> int:
 def shown_progress(description: str) -> Iterator[Progress]:
     """Show the progress of the jobs within, and give the function that they report it to.
 
-    On a terminal, one line on standard error that is drawn again and again; in a notebook a bar
-    (ipywidgets, the extra ``notebook``) or, without it, such a line; elsewhere a line of text for
-    each stage, and of the share that is done where a stage is long. The level of the logger
-    ``roomfit`` says how much: INFO where it is not set, DEBUG for details, above INFO nothing.
+    On a terminal and in a notebook, one line on standard error that is drawn again and again;
+    elsewhere a line of text for each stage, and of the share that is done where a stage is long.
+    The level of the logger ``roomfit`` says how much: INFO where it is not set, DEBUG for details,
+    above INFO nothing.
 
     Examples
     --------
@@ -147,12 +141,10 @@ def shown_progress(description: str) -> Iterator[Progress]:
     cell = shell.get_ipython() if shell is not None else None
     notebook = getattr(cell, "kernel", None) is not None
     stages = _Stages(description, lines=not (notebook or sys.stderr.isatty()))
-    ended, threads = threading.Event(), []
+    ended = threading.Event()
+    drawing = threading.Thread(target=stages.draw, args=(ended,), name="progress", daemon=True)
     if not stages.lines:
-        of = ended, _bar() if notebook else None
-        threads = [threading.Thread(target=stages.draw, args=of, name="progress", daemon=True)]
-    for thread in threads:
-        thread.start()
+        drawing.start()
     logger.addHandler(stages)
     try:
         yield stages.report
@@ -160,18 +152,5 @@ def shown_progress(description: str) -> Iterator[Progress]:
         logger.removeHandler(stages)
         logger.setLevel(before)
         ended.set()
-        for thread in threads:
-            thread.join()
-
-
-def _bar() -> Any:
-    """Return a shown bar from 0 to 1, or None without ipywidgets."""
-    try:
-        from IPython.display import display
-        from ipywidgets import FloatProgress, Layout
-    except ImportError:
-        return None
-    wide = {"description_width": "initial"}
-    bar = FloatProgress(0.0, min=0.0, max=1.0, style=wide, layout=Layout(width="100%"))
-    display(bar)
-    return bar
+        if not stages.lines:
+            drawing.join()

@@ -357,9 +357,9 @@ def _error_cell(key: str, model: float, baseline: float, diffuse: float) -> Cell
     return known_or(Cell(text, tuple(beside)), "not comparable")
 
 
-def compared_pairs(answer: Result) -> list[ComparedPair]:
+def compared_pairs(pairs: Sequence[ComparedPair]) -> list[ComparedPair]:
     """Return the pairs kept for validation, all where none was."""
-    return [pair for pair in answer.pairs if pair.use == "validate"] or list(answer.pairs)
+    return [pair for pair in pairs if pair.use == "validate"] or list(pairs)
 
 
 def compared_words(answer: Result) -> str:
@@ -368,9 +368,11 @@ def compared_words(answer: Result) -> str:
     return "measurements that were not fitted" if kept else "the fitted measurements"
 
 
-def mean_decay_times(answer: Result) -> tuple[str, FloatArray, FloatArray] | None:
+def mean_decay_times(
+    pairs: Sequence[ComparedPair],
+) -> tuple[str, FloatArray, FloatArray] | None:
     """Return symbol, measured and predicted mean decay time by band; None where none is known."""
-    pairs = compared_pairs(answer)
+    pairs = compared_pairs(pairs)
     known = parameter_keys(pairs)
     key = "T30_s" if "T30_s" in known else decay_time_key(known)
     if key is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,8 +48,8 @@ def describe(treatment: Treatment) -> Blocks:
         title = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
         shown = _arrangement(treatment, a)
         blocks.append(Part(f"{title}, cost {a.cost:g}", shown, folded=True))
-    shown = Blocks("What to hang where", tuple(head), tuple(blocks), "treatment.json")
-    return replace(shown, names=_names(treatment))
+    title, names = "What to hang where", _names(treatment)
+    return Blocks(title, tuple(head), tuple(blocks), "treatment.json", names=names)
 
 
 def _names(treatment: Treatment, *others: str) -> frozenset[str]:
@@ -65,9 +64,10 @@ def _head(treatment: Treatment) -> tuple[Block, ...]:
     met = f"{_percent(treatment, first.joint)} %"
     numbers = [(met, "probability that all targets are met")]
     if answer is not None:
-        centres_hz = answer.centres_hz
-        after = wording.with_interval(*answer.series[-1].mid_s(centres_hz))
-        numbers.append((after, f"{answer.symbol} at {wording.mid_words(centres_hz)}, treated"))
+        centres_hz, after = answer.centres_hz, answer.series[-1]
+        where = wording.mid_words(centres_hz, after.values_s)
+        words = f"{answer.symbol} at {where}, treated"
+        numbers.append((wording.with_interval(*after.mid_s(centres_hz)), words))
     numbers.append((f"{sum(h.area_m2 for h in first.hung):.4g} m²", "to be hung"))
     numbers.append((f"{first.cost:g}", "cost, in the units of the treatment file"))
     caption = (

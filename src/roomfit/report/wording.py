@@ -80,6 +80,7 @@ def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Tran
     lengths = {e: max(len(_HOLE.sub("", e)), _SHORT) for e in table if _HOLE.search(e)}
     for english in sorted(lengths, key=lengths.__getitem__, reverse=True):
         literal = re.escape(english).replace(r"\{", "{").replace(r"\}", "}")
+        literal = literal.replace("{names}", "(?P<names>[^;]+?)")  # of one clause
         holes.append((re.compile(_HOLE.sub(r"(?P<\1>.+?)", literal), re.DOTALL), english))
     # a name with a word that joins parts of a sentence is one letter meanwhile
     short = [_HOLE.split(entry)[2:-1:2] for entry, n in lengths.items() if n == _SHORT]
@@ -193,6 +194,11 @@ class Parameter(NamedTuple):
     error_unit: str  # "%" where errors are relative to the measured value
     error_decimals: int
 
+    @property
+    def label(self) -> str:
+        """Symbol and unit, as "T20 s"."""
+        return f"{self.symbol} {self.unit}".rstrip()
+
 
 PARAMETERS = {
     "T20_s": Parameter("T20", "s", 2, "%", 1),
@@ -260,11 +266,16 @@ def _mid_bands(centres_hz: FloatArray, values: FloatArray) -> BoolArray:
     return own
 
 
-def mid_words(centres_hz: FloatArray) -> str:
-    """Return which bands `mid_mean` is of: "mid frequencies", or the nearest one."""
-    if np.isin(centres_hz, MID_HZ).any():
-        return "mid frequencies"
-    return f"{centres_hz[int(np.argmin(np.abs(np.log(centres_hz / 700.0))))]:g} Hz"
+def mid_words(centres_hz: FloatArray, values: FloatArray) -> str:
+    """Return which bands `mid_mean` is of: "mid frequencies", or the one that is known.
+
+    Examples
+    --------
+    >>> mid_words(np.array([500.0, 1000.0, 2000.0]), np.array([np.nan, np.nan, 0.8]))
+    '2 kHz'
+    """
+    own = _mid_bands(centres_hz, values)
+    return "mid frequencies" if own.sum() == len(MID_HZ) else band_ranges(centres_hz, own)
 
 
 def with_interval(value: float, low: float, high: float) -> str:

@@ -280,7 +280,7 @@ def band_sentence(
 ) -> str:
     """Return which means of materials are known and which of their changes are not in the data.
 
-    "+-" stands before half of the 95 % interval.
+    "±" stands before half of the 95 % interval.
     """
 
     def names(chosen: Sequence[int]) -> str:
@@ -313,7 +313,7 @@ def band_sentence(
         mentioned |= set(own)
         half = 0.5 * (group.upper95 - group.lower95)
         digits = 3 if half < 0.01 else 2
-        value = f"{group.value:.{digits}f} +- {half:.{digits}f}"
+        value = f"{group.value:.{digits}f} ± {half:.{digits}f}"
         parts += [f"{names(sorted(members))} together {value}", *clauses(own, members)]
     rest = [u for u in left_open if u not in mentioned]
     return "; ".join([*parts, *clauses(rest, set())])
