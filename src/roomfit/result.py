@@ -137,6 +137,7 @@ class Result(Shown):
     """
 
     described_in: ClassVar[str] = "answer"
+    drawn: ClassVar[str] = "absorption"
     scene: Scene  # what was measured, as it was fitted
     bands: Bands
     priors: tuple[MaterialPrior, ...]  # one a material of the room, those of objects last

@@ -527,6 +527,23 @@ def test_a_folder_that_is_called_as_a_package_is_no_package_to_a_worker(
     asyncio.run(whole())
 
 
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+def test_a_worker_that_reads_strangers_files_has_no_key_of_its_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret = ("CI_TOKEN", "aws_secret_access_key", "DB_PASSWORD", "SSH_AUTH_SOCK", "MY_API_KEY")
+    for name in secret:
+        monkeypatch.setenv(name, "s3cret")
+
+    async def whole() -> None:
+        worker = Worker(4096)
+        environment = Path(f"/proc/{(await worker.started()).pid}/environ").read_bytes()
+        assert b"PATH=" in environment and b"s3cret" not in environment
+        await worker.stop()
+
+    asyncio.run(whole())
+
+
 @pytest.mark.slow
 def test_a_worker_has_no_more_memory_than_it_may_have(tmp_path: Path) -> None:
     async def whole() -> None:

@@ -87,6 +87,8 @@ def test_what_was_given_is_compared_exactly():
     assert {row[2] for row in compared.verdicts} == {"changed"}
     assert {v for row in compared.verdicts for j, v in enumerate(row) if j != 2} == {"given"}
     assert "of 6 coefficients" in comparison_sentences(compared)[0]
+    with pytest.raises(InputError, match="no figure of this answer"):
+        compared.plot()
 
 
 def test_what_only_one_has_is_said_and_the_rest_compared():

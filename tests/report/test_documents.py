@@ -29,7 +29,7 @@ from small_campaign import write_campaign
 docx = pytest.importorskip("docx")
 
 
-PAGE = """<!doctype html><title>Absorption: hall</title>
+PAGE = """<!doctype html><meta name="generator" content="roomfit"><title>Absorption: hall</title>
 <style>:root {{ --ink: #222 }} body {{ color: var(--ink) }}</style>
 <details><summary>folded</summary><p>within</p></details>{drawing}"""
 
@@ -219,6 +219,14 @@ def test_names_of_any_letters_are_written_as_text():
     shown = docx.Document(io.BytesIO(report_word(report_html(named, scene, title="a"), {})))
     heads = {cells[0].split("\n")[0] for rows in tables(shown).values() for cells in rows}
     assert "</table>&<b>" in heads
+
+
+@pytest.mark.parametrize("wanted", ["pdf", "word"])
+def test_a_page_of_another_program_is_refused(tmp_path, wanted):
+    (tmp_path / "a.html").write_text("<html><body><table><tr><td>x</td></tr></table><img>")
+    with pytest.raises(InputError, match=r"(?s)no page of roomfit.*a\.html.*report\.html"):
+        export_result(tmp_path / "a.html", wanted, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
 
 
 @pytest.mark.slow

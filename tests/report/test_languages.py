@@ -82,7 +82,7 @@ NAMES = (
     "ceiling",
     "walls",
     "panel",
-    "Eyring",
+    *("Eyring", "Sabine", "Arau-Puchades", "Fitzroy", "identify", "roomfit"),
 )
 
 
@@ -110,11 +110,18 @@ def made(tmp_path_factory):
         assert run_command(patch, "treat", *files_, "--png", "--out", folder / "treat") == 0
         change = ("--set", "floor=carpet-on-underlay")
         assert run_command(patch, "predict", files_[0], *change, "--out", folder / "predict") == 0
+        assert run_command(patch, "reverberation", files_[0], "--out", folder / "times") == 0
     return folder
 
 
 @pytest.mark.parametrize(
-    "page", ["treat/client.html", "treat/treatment.html", "predict/predicted.html"]
+    "page",
+    [
+        "treat/client.html",
+        "treat/treatment.html",
+        "predict/predicted.html",
+        "times/reverberation.html",
+    ],
 )
 def test_no_word_of_a_clients_page_is_missing_in_its_language(made, page):
     text = (made / page).read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import queue
+import re
 import signal
 import sys
 import threading
@@ -24,6 +25,7 @@ from typing import Any, Literal
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.cli.terminal import warn
 
+_SECRET = re.compile("TOKEN|SECRET|PASSW|KEY|CREDENTIAL|AUTH", re.IGNORECASE)
 _LONGEST_ANSWER = 2**27  # bytes of one line
 _GRACE_S = 1.0  # in which a process that is to end may clean up
 READING_MIB, READING_S = 4096, 120.0
@@ -94,8 +96,8 @@ class Worker:
     async def started(self) -> asyncio.subprocess.Process:
         """Return the process, a new one where there is none."""
         if self._process is None or self._process.returncode is not None:
-            # no name of this machine's shell or its keys for what reads strangers' files
-            environment = {k: v for k, v in os.environ.items() if "TOKEN" not in k}
+            # nothing that opens other doors for what reads strangers' files
+            environment = {k: v for k, v in os.environ.items() if not _SECRET.search(k)}
             if threads := os.environ.get("ROOMFIT_THREADS"):
                 environment["NUMBA_NUM_THREADS"] = str(min(int(threads), os.cpu_count() or 1))
             self._process = await asyncio.create_subprocess_exec(

@@ -152,11 +152,8 @@ def _give(folder: Path, path: str, save: bool) -> Response:
         return PlainTextResponse(str(error), 404)
     # a result may be another's: its page runs nothing, whatever it holds
     headers = {"content-security-policy": _SHOWN_AS_PAGE, "cache-control": "no-store"}
-    if file.suffix in (".html", ".svg", ".png", ".wav") and not save:
-        return FileResponse(file, headers=headers)
-    return FileResponse(
-        file, filename=file.name, headers=headers, content_disposition_type="attachment"
-    )
+    is_shown = file.suffix in (".html", ".svg", ".png", ".wav") and not save
+    return FileResponse(file, filename=None if is_shown else file.name, headers=headers)
 
 
 class _Punctual(H11Protocol):

@@ -289,7 +289,8 @@ class Shown:
     """An answer that is printed, shown in a notebook, and drawn."""
 
     __slots__ = ()
-    described_in: ClassVar[str]  # module of `roomfit.report` with `describe`, and `draw` for `plot`
+    described_in: ClassVar[str]  # module of `roomfit.report` with `describe`
+    drawn: ClassVar[str] = ""  # which of the drawings there says what it is about
 
     def _called(self, module: str, function: str, *arguments: Any) -> Any:
         return getattr(import_module(f"roomfit.report.{module}"), function)(*arguments)
@@ -304,7 +305,12 @@ class Shown:
             self._called("html", "fragment", self._called(self.described_in, "describe", self))
         )
 
-    def plot(self, *chosen: int) -> Figure:
-        """Return a figure of what an answer is about, for a prediction that of the chosen pair."""
-        figure: Figure = self._called(self.described_in, "draw", self, *chosen)
-        return figure
+    def plot(self) -> Figure:
+        """Return a figure of what an answer is about."""
+        drawings = self._called(self.described_in, "describe", self).drawings()
+        figures: list[Figure] = [d.figure for d in drawings if d.name == self.drawn]
+        if not figures:
+            what, found = "there is no figure of this answer", type(self).__name__
+            needed, hint = "an answer that has one, as of identify", "print it: it is a table"
+            raise InputError(what, found=found, needed=needed, hint=hint)
+        return figures[0]

@@ -14,7 +14,7 @@ from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import export_materials, workbook_bytes
 from roomfit.files.results import material_table_of, read_materials
-from roomfit.report.documents import report_pdf, report_word
+from roomfit.report.documents import OWN_PAGE, report_pdf, report_word
 from roomfit.report.text import filled
 from roomfit.result import Result
 from roomfit.settings import Settings
@@ -104,9 +104,14 @@ def _of_files(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Findin
     if wanted == "excel":
         return workbook_bytes(result_file), read_materials(result_file)[0].findings
     own = path.suffix.lower() in (".html", ".htm")
-    page = read_text(path if own else path.with_name("report.html"), "report")
-    if wanted == "pdf":
-        return report_pdf(page), ()
+    file = path if own else path.with_name("report.html")
+    page = read_text(file, "report")
+    if OWN_PAGE not in page:
+        what, found = "this is no page of roomfit", "HTML that another program wrote"
+        needed, hint = "report.html or client.html, as roomfit wrote it", "name the result itself"
+        raise InputError(what, where=str(file), found=found, needed=needed, hint=hint)
     findings = () if own else read_materials(result_file)[0].findings
+    if wanted == "pdf":
+        return report_pdf(page), findings
     beside = sorted(path.parent.glob("*.png"))
     return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings

@@ -110,7 +110,7 @@ def reverberation_to_folder(
             whole_files.write_text_atomically(
                 folder / "reverberation.csv", csv_of(diffuse_records(found))
             )
-            whole_files.write_text_atomically(
-                folder / "reverberation.html", page(diffuse_blocks(found))
-            )
+            own_names, language = frozenset(found.materials), campaign.project.language
+            shown = replace(diffuse_blocks(found), language=language, names=own_names)
+            whole_files.write_text_atomically(folder / "reverberation.html", page(shown))
     return found

@@ -49,6 +49,7 @@ class Design(Shown):
     """Where to measure."""
 
     described_in: ClassVar[str] = "designed"
+    drawn: ClassVar[str] = "design_map"
     scene: Scene  # measured pairs, then candidates
     n_fixed: int  # how many of its pairs have been measured and count
     chosen: IntArray  # (n_chosen,), pairs to measure, the most informative first

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from roomfit.base.typing import BoolArray, FloatArray, ValueName
 from roomfit.predict.changes import Change, change_text
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.measurement import Use
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +127,12 @@ class Predicted(Shown):
     def compares_states(self) -> bool:
         """Whether the room before the change was predicted, too."""
         return any(v.change is not None for v in self.mean.values())
+
+    def plot(self, pair: int = 0) -> Figure:
+        """Return the energy decay curves of one pair, predicted and measured, in every band."""
+        chosen = self.pairs[pair]
+        figure: Figure = self._called("prediction_figures", "predicted_decay_figure", self, chosen)
+        return figure
 
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv."""

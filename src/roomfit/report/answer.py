@@ -30,8 +30,6 @@ from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Scene, wall_materials
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.files.remedies import Advice
 
 _MOST_ENDS, _MOST_OPEN, _MOST_DECAY_FILES = 3, 4, 12
@@ -89,11 +87,6 @@ def report_html(
 def describe(answer: Result) -> Blocks:
     """Return what a result says without its room."""
     return result_blocks(answer)
-
-
-def draw(answer: Result) -> Figure:
-    """Return the absorption of every material over frequency."""
-    return _absorption_drawing(answer).figure
 
 
 def result_blocks(

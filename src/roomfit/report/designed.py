@@ -12,8 +12,6 @@ from roomfit.report.blocks import Blocks, Drawing, Findings, Sentence
 from roomfit.room.scene import wall_materials
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.design.positions import Design
 
 _CRITERIA = {
@@ -43,13 +41,6 @@ def describe(design: Design) -> Blocks:
         _widths_table(design),
     )
     return Blocks("Where to measure", head, (Findings(design.findings),), "design.json")
-
-
-def draw(design: Design) -> Figure:
-    """Return the room from above and from the side, with candidates and chosen pairs."""
-    from roomfit.report.prediction_figures import design_map
-
-    return design_map(design)
 
 
 def _pairs_table(design: Design) -> Table:

@@ -19,6 +19,7 @@ from typing import Any
 from roomfit.base.door import quiet
 from roomfit.base.errors import InputError
 
+OWN_PAGE = '<meta name="generator" content="roomfit">'
 _VARIABLE = re.compile(r"var\(--[\w-]+,\s*(#\w+)\)")
 _CHOSEN, _CURVES = re.compile(r'id="pick-(\d+)" checked'), re.compile(r'<g class="curve-(\d+)"')
 

@@ -28,7 +28,7 @@ from roomfit.base.whole_files import write_bytes_atomically, write_text_atomical
 from roomfit.report import wording
 from roomfit.report.blocks import Blocks
 from roomfit.result import ComparedPair, Result
-from roomfit.signals.decay import jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB, jnd_of
 
 LOWEST_DB = -45.0
 _WIDTH_IN = 10.2
@@ -409,10 +409,6 @@ def _draw_decay(
     return float(decay.time_s[known].max(initial=0.0))
 
 
-# ISO 3382-1:2009, section 3 and 5: below the level of steady state.
-_EVALUATED_DB = {"T20_s": (-25.0, -5.0), "T30_s": (-35.0, -5.0), "EDT_s": (-10.0, 0.0)}
-
-
 def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, float] | None]:
     """Return the decay time that is known best in words, and the levels that it was read between.
 
@@ -427,7 +423,8 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
     )
     known = np.isfinite(pair.parameters[key].predicted[band])
     words = f"{wording.parameter(key).symbol} {measured} → {predicted} s" if known else ""
-    return words, _EVALUATED_DB[key]
+    high, low = FIT_RANGES_DB[key]
+    return words, (-low, -high)
 
 
 # ---------------------------------------------------------------- decay times

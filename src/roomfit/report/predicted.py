@@ -32,8 +32,6 @@ from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
 
@@ -220,13 +218,6 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
         blocks.append(Part("Pair by pair", tables, "", words, folded=True, in_text=few))
     title = "Before and after" if predicted.compares_states else "Predicted"
     return Blocks(title, tuple(head), tuple(blocks), "predicted.json")
-
-
-def draw(predicted: Predicted, pair: int = 0) -> Figure:
-    """Return the energy decay curves of one pair, predicted and measured, in every band."""
-    from roomfit.report.prediction_figures import predicted_decay_figure
-
-    return predicted_decay_figure(predicted, predicted.pairs[pair])
 
 
 def pair_drawings(predicted: Predicted) -> tuple[Drawing, ...]:

@@ -29,8 +29,6 @@ from roomfit.treat.arrangements import apart
 from roomfit.treat.question import USUAL_HZ
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.treat.arrangements import Arrangement, Treatment
     from roomfit.treat.question import Target
 
@@ -165,13 +163,6 @@ def client_blocks(treatment: Treatment, project: Mapping[str, str], measured: st
         language=project.get("language", "en"),
         names=_names(treatment, *project.values()),
     )
-
-
-def draw(treatment: Treatment) -> Figure:
-    """Return the room and what hangs where in the first arrangement."""
-    from roomfit.report.prediction_figures import treatment_figure
-
-    return treatment_figure(treatment)
 
 
 def _arrangement(treatment: Treatment, a: Arrangement) -> tuple[Block, ...]:

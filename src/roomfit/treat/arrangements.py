@@ -74,6 +74,7 @@ class Treatment(Shown):
     """The best arrangements, cheapest first; or the one that misses least."""
 
     described_in: ClassVar[str] = "treated"
+    drawn: ClassVar[str] = "treatment"
     bands: Bands
     targets: tuple[question.Target, ...]
     arrangements: tuple[Arrangement, ...]
