@@ -153,6 +153,7 @@ def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path):
 
 
 LS1, MP1 = (1.2, 1.5, 1.1), (4.1, 2.9, 1.2)
+AT = "LS1,1.2,1.5,1.1\nMP1,4.1,2.9,1.2"
 PLACED = {
     "a quaternion first": "name,qx,qy,qz,x,y,z\nLS1,0,.7,0,1.2,1.5,1.1\nMP1,0,0,1,4.1,2.9,1.2",
     "another order": "z,y,x,label\n1.1,1.5,1.2,LS1\n1.2,2.9,4.1,MP1",
@@ -168,6 +169,13 @@ PLACED = {
     "a mean below": "name,x,y,z\nLS1,1.2,1.5,1.1\nMP1,4.1,2.9,1.2\nMean,2.65,2.2,1.15\nMP2,-,n/a,",
     "units in cells": "name;x;y;z\nLS1;1,2 m;1,5 m;1,1 m\nMP1;410 cm;290 cm;120 cm",
     "words among numbers": "LS1,source,1.2,1.5,1.1\nMP1,mic,4.1,2.9,1.2",
+    "positions in words": "In the hall\nname,x in hall,y in hall,z in hall\n" + AT,
+    "a remark below the first": "name,x,y,z\n" + AT.replace("\nMP", "\n# floor in cm\nMP"),
+    "a size above": "Room,12,8,5\nLength,12,m\nname,x,y,z\n" + AT,
+    "no row of units": "name,x,y,z\nM,,,\nIN,-,-,-\n" + AT,
+    "signs alone": "#\n# \n" + AT.replace(",", " "),
+    "in words of others": "Maße in Zentimetern\nname;x;y;z\nLS1;120;150;110\nMP1;410;290;120",
+    "alone in a cell": "Unit;cm\nname;x;y;z\nLS1;120;150;110\nMP1;410;290;120",
 }  # fmt: skip
 
 
@@ -188,7 +196,13 @@ def test_positions_are_read_by_their_heading(tmp_path, kind, encoding):
         ("name,T30,C80,D50\nLS1,1.2,1.5,1.1", "names no x, y, z", "rename"),
         ("a,src x,src y,src z,mic x,mic y,mic z\na,1,1,1,2,2,2", "several", "row for each"),
         ("name;x [mm];y;z\nLS1;1.200;1.500;1.100", "not understood", "thousands"),
+        ("name;x [cm];y;z\nLS1;1.200;1.500;1.100", "not understood", "thousands"),
+        ("name;x;y;z\nLS1;1,200 in;1,500 in;100 in", "not understood", "thousands"),
         ("LS1,1.2,x,1.1\nMP1,4.1,2.9,1.2", "not understood", "correct"),
+        ("in cm or in m\nname,x,y,z\n" + AT, "not understood", "name its unit"),
+        ("name,x [cm] [m],y,z\n" + AT, "not understood", "name its unit"),
+        ("in m\nname,x,y,z\n" + AT + "\nOrigin: corner; all in cm", "in m or cm", "each heading"),
+        ("name,x0,y0,z0,x1,y1,z1\na,1,1,1,2,2,2", "several", "row for each"),
     ],
 )  # fmt: skip
 def test_positions_that_may_be_anything_are_refused_with_a_cure(tmp_path, content, what, hint):
@@ -225,6 +239,19 @@ DECAYS = {
     "bands as programs compute them": ("place;125.9;0.2512 kHz;501.2\n" + P1, FIRST),
     "kilohertz": ("f [kHz];0,125;0,25;0,5\n" + P1, FIRST),
     "milliseconds": ("T30 in ms\n" + HZ + "P1;1910;1730;1530", FIRST),
+    "blocks named in the corner": ("T30 [s];" + HZ[6:] + P1 + P2 + "C80;125;250\nP1;2;2\n", BOTH),
+    "clarity first": ("C80;" + HZ[6:] + P1 + P2 + "T30;" + HZ[6:] + P1 + P2, BOTH),
+    "turned blocks": ("T30;P1\n125;1.91\n250;1.73\n500;1.53\nC80;P1\n125;1\n250;1", FIRST),
+    "blocks below remarks": ("# T30\n" + HZ + P1 + "# C80\n" + HZ + "P1;2;2;2", FIRST),
+    "areas of positions": ("T30\n" + HZ + "Parkett;;;\n" + P1 + "Rang;;;\n" + P2, BOTH),
+    "both units in a title": ("T30 [s], Ts [ms]\n" + HZ + P1, FIRST),
+    "CATT": ("f (Hz);" + HZ[6:] + "T-30" + P1[2:] + "T-15;1;1;1\nEDT;1;1;1", FIRST),
+    "notes below": (HZ + P1 + P2 + "\nHeight;7,5\nTemperature;21,5;22;22\nat 3 p.m.", BOTH),
+    "two numbers in a label": ("1.5 12;" + HZ[6:-1] + "\nP1;1,91;1,73;1,53", FIRST),
+    "no band of two numbers": ("place;125;250;500;125 3\nP1;1,91;1,73;1,53;9", FIRST),
+    "centre time like bands": ("of;125;250;500\nT30;1,91;1,73;1,53\nTs;125;125;100", FIRST),
+    "spreads": (HZ + P1 + "P1 ±;9;9;9\n" + P2 + "P2 ±;9;9;9\nAnforderung;1;1;1", BOTH),
+    "a spread each": ("f;P1;s;P2;s\n125;1,91;9;1,85;9\n250;1,73;9;1,7;9\n500;1,53;9;1,5;", BOTH),
     "not evaluated": ("place;63;125;250;500\nP1;0.00;1.91;1.73;1.53\nP2;-1.#IND;n/a;;*", FIRST),
 }  # fmt: skip
 
@@ -241,7 +268,80 @@ def test_decay_times_are_those_of_positions_and_what_is_left_out_is_said(tmp_pat
         assert "left out" in findings[0].sentence
 
 
-def test_a_table_of_another_quantity_is_refused_by_it(tmp_path):
+BESIDE = ("error [s]", "±", "r", "corr", "(std)", "sd", "Fehler", "R²", "95% CI", "[%]", "JND")
+BEFORE = ("s(T30)", "± T30", "\N{GREEK SMALL LETTER SIGMA}(T30)", "Δ T30")
+
+
+@pytest.mark.parametrize("label", [*(f"T30 {word}" for word in BESIDE), *BEFORE])
+def test_what_stands_beside_a_quantity_is_no_value_of_it(tmp_path, label):
+    """As a column, as a row, as a row of a position, and as a line of room parameters."""
     file = tmp_path / "t.csv"
-    file.write_text("Clarity C80 [dB]\n" + HZ + P1)
-    assert "C80" in str(refusal(read_decay_times, file).found)
+    for content in (
+        f"f;T30 [s];{label}\n125;1,91;9\n250;1,73;9\n500;1,53;9",
+        HZ + "T30" + P1[2:] + f"{label};9;9;9",
+        "at;of;" + HZ[6:] + "P1;T30" + P1[2:] + f"P1;{label};9;9;9",
+    ):
+        file.write_text(content, encoding="utf-8")
+        assert read_decay_times(file)[0].tolist() == [FIRST], content
+    file.write_text(ISO + f"S,R,T30,0.9,0.8\nS,R,{label},0.1,0.1", encoding="utf-8")
+    ((values,), _) = read_parameters(file)
+    assert values.values["T30_s"].tolist() == [0.9, 0.8]
+
+
+@pytest.mark.parametrize(
+    "names",
+    ["R1 R2 R10", "M1 S1 K1", "N1 N2 H2", "MW1 SD1 CV1", "ST1 BR TR", "R G T", "C1 C50 C80",
+     "Mittelschiff Mittelgang M", "T1 T10 T20", "Nr1 S M", "Maximilian Meander Corridor"],
+)  # fmt: skip
+@pytest.mark.parametrize("mean", ["", "Mean;9;9;9\nStd;9;9;9\n"])
+def test_a_position_has_any_name(tmp_path, names, mean):
+    """In rows and columns of decay times, in positions and in room parameters."""
+    a, b, c = names.split()
+    file = tmp_path / "t.csv"
+    file.write_text(HZ + f"{a};1,9;1,7;1,5\n{b};1,8;1,6;1,4\n{c};1;1;1\n" + mean)
+    assert read_decay_times(file)[0].tolist() == [[1.9, 1.7, 1.5], [1.8, 1.6, 1.4], [1, 1, 1]]
+    file.write_text(f"f;{a};{b};{c}\n125;1,9;1,8;1\n250;1,7;1,6;1\n500;1,5;1,4;1")
+    assert read_decay_times(file)[0].tolist() == [[1.9, 1.7, 1.5], [1.8, 1.6, 1.4], [1, 1, 1]]
+    file.write_text(f"name;x;y;z\n{a};1;2;3\n{b};2;3;4\n{c};3;4;5\n" + mean)
+    assert read_positions(file)[0] == {a: (1, 2, 3), b: (2, 3, 4), c: (3, 4, 5)}
+    file.write_text(ISO + "".join(f"S,{name},T30,0.9,0.8\n" for name in (a, b, c)))
+    assert [values.receiver for values in read_parameters(file)[0]] == [a, b, c]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("TS [ms],90,80", [90, 80]), ("TS [s],.09,.08", [90, 80]), ("Ts,90 ms,80 ms", [90, 80]),
+        ("Ts,.09 s,80", [90, 80]), ("T30 [ms],900,800", [0.9, 0.8]), ("G [dB],3,4", [3, 4]),
+        ("D50,50 %,60 %", [50, 60]), ("T30,9 dB,8 dB", None), ("C80,9 s,8 s", None),
+        ("C80,5 ms,6", None), ("D50,5 dB,6", None), ('TS [ms],"1,250","1,100"', None),
+    ],
+)  # fmt: skip
+def test_a_parameter_is_read_in_the_unit_of_its_cell_or_its_name(tmp_path, line, expected):
+    file = tmp_path / "t.csv"
+    file.write_text(ISO + f"S,R,{line}\n")
+    if expected is None:
+        assert "not understood" in refusal(read_parameters, file).what
+    else:
+        ((values,), _) = read_parameters(file)
+        assert next(iter(values.values.values())).tolist() == pytest.approx(expected)
+    sd = line.partition(",")[0].replace(" ", "_sd ") + ",1,1\n"
+    if expected and "TS" in line:
+        file.write_text(ISO + f"S,R,{line}\nS,R,{sd}")
+        assert read_parameters(file)[0][0].values["TS_ms"].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        ("Clarity C80 [dB]\n" + HZ + P1, "C80"), ("C80 [dB];" + HZ[6:] + P1, "C80"),
+        ("Clarity C80 [dB]\n" + HZ + "A;1;1;1", "C80"), ("# C80\n" + HZ + P1, "C80"),
+        ("T30 std;" + HZ[6:] + P1, "other"), (HZ + "P1;12 dB;12 dB;12 dB", "12 dB"),
+        (HZ + "P1;5 %;5 %;5 %", "5 %"), ("T30 in ms\n" + HZ + "P1;1.910;1.730;1.530", "1.910"),
+        (HZ + "P1;0,00191;0,002;0,002", "0.00191 s"),
+    ],
+)  # fmt: skip
+def test_a_table_of_another_quantity_is_refused_by_it(tmp_path, content, found):
+    file = tmp_path / "t.csv"
+    file.write_text(content)
+    assert found in str(refusal(read_decay_times, file).found)

@@ -26,7 +26,7 @@ from roomfit.files.encoding import one_line
 from roomfit.files.responses.sofa import read_sofa_pairs
 from roomfit.files.rooms import read_mesh, read_model
 from roomfit.files.schema import RoomSpec
-from roomfit.files.tables import length_unit
+from roomfit.files.tables import unit_of
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import catalogue, suggested_entries
 from roomfit.room.audience import audience_area_m2
@@ -58,7 +58,7 @@ def likely_units(room: Path, space: str | None = None) -> dict[str, str]:
     if model.unit is not None:
         return {model.unit: "by the format of the file"}
     head = read_bytes(room, "room file")[:_HEADER_BYTES].decode("ascii", errors="replace")
-    stated = [unit for m in _STATED_UNIT.findall(head) if (unit := length_unit(m.lower()))]
+    stated = [unit for m in _STATED_UNIT.findall(head) if (unit := unit_of(m.lower()))]
     if stated:
         return {stated[0]: "by the header of the file"}
     return plausible_units(np.ptp(model.vertices, axis=0))

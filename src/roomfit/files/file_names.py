@@ -27,13 +27,10 @@ def shape_of(
     """
     keys = set(re.findall(r"\{(\w+)\}", template))
     if keys != {"source", "receiver"} or "{" in str(Path(template).parent):
-        raise InputError(
-            "a template of recordings without source or receiver, or with other keys",
-            found=repr(template),
-            needed="{source} and {receiver} in the name of the file, as in "
-            "'DIR/{source}_{receiver}.wav'",
-            hint="name what differs between the files of two pairs",
-        )
+        what = "a template of recordings without source or receiver, or with other keys"
+        needed = "{source} and {receiver} in the name of the file: 'DIR/{source}_{receiver}.wav'"
+        hint = "name what differs between the files of two pairs"
+        raise InputError(what, found=repr(template), needed=needed, hint=hint)
     shape = re.escape(Path(template).as_posix()).replace(r"\*", "[^/]*")
     # side by side, a name ends with its number
     unknown = r"[^/\d]*\d+" if "}{" in template else "[^/]+?"
@@ -66,8 +63,8 @@ def matching_files(
     `recordings_in` the folder those whose names hold two of the known ones, the source first unless
     words say otherwise; where none does, those that name a source and a receiver by such words and
     numbers, or have that shape, if most do; else all of one source, a blank where it is in doubt.
-    The case of letters of known names, and zeros before numbers, do not matter. A name that may be
-    split at several places is split where both parts are known.
+    The case of letters of known names does not matter, nor without a template zeros before numbers.
+    A name that may be split at several places is split where both parts are known.
     """
     if template is None:
         stems = {name: Path(name).stem for name in recordings_in(folder)}
@@ -88,14 +85,10 @@ def matching_files(
         shapes = [shape_of(template, one_of=spelled.values())] if spelled else []
         shapes.append(shape_of(template))
     if not names:
-        below = folder / Path(template).parent
-        raise InputError(
-            "no recording has a name of this shape",
-            where=str(below),
-            found=in_short(_recordings(below)) or "no recordings",
-            needed=template,
-            hint="put {source} and {receiver} where names differ, and * for other text",
-        )
+        below, what = folder / Path(template).parent, "no recording has a name of this shape"
+        listed = in_short(_recordings(below)) or "no recordings"
+        hint = "put {source} and {receiver} where names differ, and * for other text"
+        raise InputError(what, where=str(below), found=listed, needed=template, hint=hint)
     matches = (next(filter(None, (s.fullmatch(name) for s in shapes))) for name in names)
     return {
         m[0]: (spelled.get(a.casefold(), a), spelled.get(b.casefold(), b))
@@ -107,20 +100,24 @@ def matching_files(
 def _known_in(stem: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a file's name holds, in their order in it.
 
-    As whole words, or two side by side; signs within them and zeros before numbers do not matter.
+    As whole words, or two side by side, the longest first. Zeros before numbers do not matter, nor
+    signs but those between two numbers; a name that is there as it stands goes before others.
     """
-    names = sorted(known, key=len, reverse=True)
-    ways = []
-    for name in names:
+    ways: dict[tuple[int, bool, str], str] = {}
+    for name in known:
         # some file systems take letters and their dots apart
-        runs = re.findall(r"\d+|[^\W\d_]+", unicodedata.normalize("NFC", name))
-        own = [f"0*{run.lstrip('0') or '0'}" if run.isdigit() else re.escape(run) for run in runs]
-        ways.append(r"[\W_]*".join(own) or re.escape(name))
-    if not names:
+        own = unicodedata.normalize("NFC", name)
+        runs = [run.lstrip("0") or "0" for run in re.findall(r"\d+|[^\W\d_]+", own)]
+        # a sign between two numbers may not be left out: R1.1 is not R11
+        way = r"[\W_]*".join(f"(?<!\\d)0*{run}" if run.isdigit() else run for run in runs)
+        size = -len("".join(runs))
+        ways[size, False, re.escape(own)] = ways[size, True, way or re.escape(own)] = name
+    if not ways:
         return []
+    names = [ways[key] for key in sorted(ways)]
+    either = "|".join(f"({way})" for _, _, way in sorted(ways))
     text = unicodedata.normalize("NFC", stem)
-    first, second = (f"(?:{'|'.join(f'({way})' for way in ways)})" for _ in range(2))
-    run = re.compile(rf"(?<![^\W_]){first}{second}?(?![^\W_])", re.IGNORECASE)
+    run = re.compile(rf"(?<![^\W_])(?:{either})(?:(?!(?<=\d)\d)(?:{either}))?(?![^\W_])", re.I)
     hits = [i % len(names) for m in run.finditer(text) for i, g in enumerate(m.groups()) if g]
     found = list(dict.fromkeys(names[i] for i in hits))
     kinds = ("receiver_name", "source_name")  # the source stands first, unless words say otherwise
@@ -148,13 +145,10 @@ def recordings_in(folder: Path) -> list[str]:
     below = {f.name: _recordings(f) for f in sorted(folder.iterdir()) if f.name[0] != "."}
     filled = {name: files for name, files in below.items() if files}
     if len(filled) > 1:
-        raise InputError(
-            "several folders hold recordings",
-            where=str(folder),
-            found=in_short([f"{name} ({len(files)} files)" for name, files in filled.items()]),
-            needed="--recordings 'DIR/{source}_{receiver}.wav', of one of them",
-            hint="or move the recordings into one folder",
-        )
+        what, hint = "several folders hold recordings", "or move the recordings into one folder"
+        found = in_short([f"{name} ({len(files)} files)" for name, files in filled.items()])
+        needed = "--recordings 'DIR/{source}_{receiver}.wav', of one of them"
+        raise InputError(what, where=str(folder), found=found, needed=needed, hint=hint)
     return [f"{name}/{file}" for name, files in filled.items() for file in files]
 
 

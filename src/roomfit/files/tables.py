@@ -11,11 +11,12 @@ import math
 import re
 import tomllib
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from itertools import zip_longest
 from pathlib import Path
+from string import digits
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -42,6 +43,10 @@ _NUMBER = re.compile(
     re.IGNORECASE,
 )
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
+Sizes = Mapping[str, float]  # of units
+SECONDS: Sizes = {"s": 1.0, "ms": 0.001}
+_SMALL = ("mm", "cm", "in", "ms")  # units in which 1.200 may be 1200
+_UNCLEAR = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}\s*[^\W\d]*")
 _BELOW = ("8", "10", "12.5", "12,5", "16", "20")  # bands that are not used
 
 
@@ -51,8 +56,8 @@ def words_of(kind: str) -> re.Pattern[str]:
     known = tomllib.loads(files("roomfit.files").joinpath("words.toml").read_text("utf-8"))
     if isinstance(known[kind], dict):
         own = "|".join(f"(?P<{name}>{'|'.join(ways)})" for name, ways in known[kind].items())
-        return re.compile(rf"(?<![^\W_])(?:{own})(?![^\W_])")
-    return re.compile("|".join(known[kind]))
+        return re.compile(rf"(?<![^\W_])(?:{own})(?![^\W_])", re.IGNORECASE)
+    return re.compile("|".join(known[kind]), re.IGNORECASE)
 
 
 def is_word(kind: str, label: str) -> bool:
@@ -60,9 +65,9 @@ def is_word(kind: str, label: str) -> bool:
     return bool(words_of(kind).fullmatch(label))
 
 
-def length_unit(word: str) -> str:
-    """Return the unit that a word in small letters stands for, "" for none."""
-    match = words_of("length").fullmatch(word)
+def unit_of(word: str) -> str:
+    """Return the unit that a word stands for, "" for none."""
+    match = words_of("units").fullmatch(word)
     return str(match.lastgroup) if match else ""
 
 
@@ -84,20 +89,40 @@ class Sheet(NamedTuple):
 
     def number(self, cell: str) -> tuple[float, str] | None:
         """Return a number and the unit behind it, NaN for a mark of no value, None for text."""
-        if is_word("nothing", cell.lower()):
+        if is_word("nothing", cell):
             return math.nan, ""
         match = _NUMBER.fullmatch(cell)
         value = _as_float(match[1], self.decimal) if match else None
         return None if match is None or value is None else (value, match[2].lower())
+
+    def value(self, cell: str, unit: str, sizes: Sizes, where: str) -> float:
+        """Return the number in a cell times the size of its unit, NaN for none.
+
+        `unit` is that of cells that state none. Refused are units without a size, and 1.200 of
+        small units, whose mark may be of thousands.
+        """
+        number, behind = self.number(cell) or (math.nan, "?")
+        own = unit_of(behind) if behind else unit
+        is_unclear = own in _SMALL and not self.decimal and _UNCLEAR.fullmatch(cell)
+        if own in sizes and not is_unclear:
+            return sizes[own] * number
+        what = "not a number, or one that is not understood"
+        needed = f"a number, or an empty cell, in {' or '.join(sizes)}"
+        hint = (
+            "leave the cell empty where nothing is known, or name its unit in the heading: x [cm]"
+        )
+        if is_unclear:
+            hint = f"write {cell} without the mark if it is of thousands, else with more decimals"
+        raise InputError(what, where=where, found=repr(cell[:40]), needed=needed, hint=hint)
 
     def numbers(self, cells: Iterable[str]) -> list[str]:
         """Return the cells that are numbers, marks of no value left out."""
         return [c for c in cells if (known := self.number(c)) and not math.isnan(known[0])]
 
 
-def _as_float(digits: str, decimal: str) -> float | None:
+def _as_float(number: str, decimal: str) -> float | None:
     """Return a number with either mark for decimals or for groups."""
-    plain = re.sub(_GROUP_MARKS, "", digits).replace("\u2212", "-")
+    plain = re.sub(_GROUP_MARKS, "", number).replace("\u2212", "-")
     marks = re.findall("[.,]", plain)
     if _GROUPED.fullmatch(plain) and len(set(marks)) == 1:
         if len(marks) > 1 or decimal not in ("", marks[0]):
@@ -137,11 +162,11 @@ def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
     rows = []
     for number, cells in found:
         own = [cell.strip() for cell in cells]
+        is_remark = "".join(own[:1]).startswith(("#", "%", "//"))
+        if is_remark and not separator.strip() and not own[0].strip("#%/"):
+            own = own[1:]
         if any(own):
             text = "" if is_book else lines[number - 1]
-            is_remark = own[0].startswith(("#", "%", "//"))
-            if is_remark and not separator.strip() and not own[0].strip("#%/"):
-                own = own[1:] or [""]
             rows.append(Row(f"{path}, line {number}", own, text, is_remark))
     marks = {mark for row in rows for cell in row.cells if (mark := _decimal(cell))}
     return Sheet(separator, rows, "".join(marks) if len(marks) == 1 and not is_book else "")
@@ -169,46 +194,11 @@ def _separator(lines: Sequence[str]) -> str:
     return next(s for s in _SEPARATORS if 2 * counts[s] >= most)
 
 
-class Line(NamedTuple):
-    """One row below a heading."""
-
-    where: str  # file and line
-    heading: list[str]  # in small letters
-    cells: list[str]  # as many as the heading has, or more
-
-    def cell(self, *begins: str) -> str:
-        """Return the cell of the first column whose name begins so; "" where there is none."""
-        found = (
-            c for name, c in zip(self.heading, self.cells, strict=False) if name.startswith(begins)
-        )
-        return next(found, "")
-
-
-def table_lines(path: Path, what: str, names: Sequence[str], separator: str) -> list[Line]:
-    """Return the rows below a heading that has all of some columns, by patterns of their names.
-
-    A later heading replaces it; rows above it are left out.
-    """
-    rows = read_sheet(path, what, separator).rows
-    heading: list[str] | None = None
-    lines = []
-    for row in rows:
-        words = _small(row)
-        if all(any(re.fullmatch(name, word) for word in words) for name in names):
-            heading = words
-        elif heading is not None and not row.is_remark:
-            filled = row.cells + [""] * (len(heading) - len(row.cells))
-            lines.append(Line(row.where, heading, filled))
-    if not lines:
-        raise _lacking(path, what, rows, names, "values" if heading else "a heading")
-    return lines
-
-
 def _small(row: Row) -> list[str]:
     return [" ".join(cell.casefold().split()) for cell in row.cells]
 
 
-def _lacking(
+def lacking(
     path: Path, what: str, rows: Sequence[Row], names: Sequence[str], lacks: str
 ) -> InputError:
     """Return the refusal of a table without a heading, bands or values."""
@@ -216,9 +206,8 @@ def _lacking(
     found = f"{len(rows)} line{'' if len(rows) == 1 else 's'}, the first {first!r}"
     needed = f"a line that names the columns {', '.join(names)}, and lines of values"
     hint = "write names above columns, and export all rows"
-    return InputError(
-        f"a {what} without {lacks}", where=str(path), found=found, needed=needed, hint=hint
-    )
+    what = f"a {what} without {lacks}"
+    return InputError(what, where=str(path), found=found, needed=needed, hint=hint)
 
 
 def number_in(cell: str, where: str, needed: str, hint: str) -> float:
@@ -233,20 +222,31 @@ def number_in(cell: str, where: str, needed: str, hint: str) -> float:
     return value
 
 
-def are_summaries(labels: Sequence[str]) -> list[bool]:
-    """Return which rows or columns, by their names, summarise or count others."""
-    words = [re.findall(r"[^\W\d_]+|∅", label.casefold()) for label in labels]
-    ends = [["".join(own), *own[:1], *own[-1:]] for own in words]
-    found = [any(is_word("summary", w) for w in own) for own in ends]
-    beside = [any(is_word("beside", w) for w in own if len(w) > 1 or own[0] == w) for own in ends]
-    return [f or (any(found) and b) for f, b in zip(found, beside, strict=True)]
+def summaries(labels: Iterable[str]) -> set[str]:
+    """Return the names of rows or columns that summarise or count others."""
+    labels = [*labels]
+    words = {label: re.findall(r"[^\W_]+|∅", label) for label in labels}
+    ends = {label: ["".join(own), *own[:1], *own[-1:]] for label, own in words.items()}
+    found = {label for label, own in ends.items() if any(is_word("summary", w) for w in own)}
+    beside = {label for label in words if is_word("beside", label)}
+    return found | {label for label in beside if found or labels.count(label) > 1}
 
 
 def are_units(row: Row) -> bool:
-    """Whether a row holds units alone, as below a heading."""
-    words = [word.strip("[]()") for word in _small(row) if word]
-    own = words[1:] if words and words[0] in ("unit", "units", "einheit", "unité", "-") else words
-    return any(map(str.isalpha, own)) and all(is_word("unit", word) for word in own)
+    """Whether a row holds units alone, as below a heading: not only in its first cell, a name."""
+    first, *others = (word.strip("[]()") for word in _small(row))
+    is_head = first in ("unit", "units", "einheit", "unité") or is_word("unit", first)
+    are = [is_word("unit", word) for word in others]
+    return is_head and all(are) and any(not is_word("nothing", word) for word in others)
+
+
+def stated_unit(cells: Iterable[str], sizes: Sizes) -> str:
+    """Return the unit that cells state: in brackets, after "in" or "unit", or alone in a cell.
+
+    "" for none; several are no unit that has a size: "cm or m".
+    """
+    found = words_of("stated").findall(";".join(["", *cells, ""]))
+    return " or ".join(sorted({unit_of(word) for words in found for word in words} & {*sizes}))
 
 
 def left_out(path: Path, taken: str, kinds: dict[str, Sequence[str]]) -> tuple[Finding, ...]:
@@ -258,15 +258,22 @@ def left_out(path: Path, taken: str, kinds: dict[str, Sequence[str]]) -> tuple[F
 
 
 def quantity_in(label: str, *, in_title: bool = False) -> tuple[str, str]:
-    """Return the quantity that a name or a title speaks of, and what else it says.
+    """Return the quantity that a label speaks of, and its other words, with … for the quantity.
 
-    "" where it names none, or several; what is in dB or percent is at least "other".
+    "" where it names none, or several; "other", "label": see ``words.toml``.
     """
-    pattern, text = words_of("quantity"), label.casefold()
-    found = {str(m.lastgroup) for m in pattern.finditer(text)} - ({"label"} if in_title else set())
-    named = found - {"other", "label"} or found
-    rest = " ".join(re.findall(r"[^\W_]+", re.sub(r"[\[(]\w+[\])]", " ", pattern.sub(" ", text))))
-    return named.pop() if len(named) == 1 else "", rest
+    pattern = words_of("quantity")
+    text = words_of("seconds").sub(" ", label.replace("±", " ± "))
+    found = {str(m.lastgroup) for m in pattern.finditer(text)}
+    named = found - {"other", "label"}
+    signs = {"other": " "} | dict.fromkeys(named, " … ")
+    plain = pattern.sub(lambda m: signs.get(str(m.lastgroup), m[0]), text)
+    rest = " ".join(re.findall(r"[^\W_]+|[…|∅]", plain))
+    if len(named) == 1 and not ("other" in found and named <= {*TIMES}):
+        return named.pop(), rest
+    if "other" in found and len(named) < 2 and (named or not in_title or not rest):
+        return "other", rest
+    return "label" if found == {"label"} and not in_title else "", rest
 
 
 class BandRow(NamedTuple):
@@ -275,22 +282,17 @@ class BandRow(NamedTuple):
     where: str
     names: tuple[str, ...]
     quantity: str  # "T30" and the like, "" where the table does not say
-    rest: str  # of its names without the quantity
+    rest: str  # of its names, with … for the quantity
+    section: str  # the quantity of the title or the column
     cells: dict[float, tuple[str, str]]  # by band in Hz, with its place in messages
-    is_in_ms: bool
+    unit: str  # "s" or "ms", "" where the table does not say
     sheet: Sheet
 
-    def values(self, centres_hz: Iterable[float]) -> FloatArray:
-        """Return the numbers, shape (n_bands,), NaN for none; milliseconds as seconds."""
-        found = []
-        for cell, place in (self.cells.get(hz, ("", "")) for hz in centres_hz):
-            known = self.sheet.number(cell)
-            if known is None or known[1] not in ("", "s", "sec", "ms", "db", "%"):
-                own, needed = repr(cell[:40]), "a number, or an empty cell"
-                hint = "leave the cell empty where nothing is known"
-                raise InputError("not a number", where=place, found=own, needed=needed, hint=hint)
-            found.append(known[0] / (1000.0 if known[1] == "ms" or self.is_in_ms else 1.0))
-        return np.array(found)
+    def values(self, centres_hz: Iterable[float], sizes: Sizes = SECONDS) -> FloatArray:
+        """Return the numbers, shape (n_bands,), NaN for none; `sizes` of units, the usual first."""
+        unit = self.unit if self.unit in sizes else next(iter(sizes))
+        cells = (self.cells.get(hz, ("", "")) for hz in centres_hz)
+        return np.array([self.sheet.value(cell, unit, sizes, where) for cell, where in cells])
 
 
 class _Bands(NamedTuple):
@@ -299,6 +301,7 @@ class _Bands(NamedTuple):
     naming: list[int]  # columns that name a row
     at: dict[int, tuple[str, float]]  # by column, its quantity and its band in Hz
     labels: list[str]
+    quantity: str  # of the columns that name
 
 
 def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[BandRow], list[str]]:
@@ -312,65 +315,79 @@ def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[Ba
     headings = [_bands(row, names, sheet) for row in rows]
     most = max((len(own.at) for own in headings if own), default=0)
     heading: _Bands | None = None
-    quantity, in_ms, is_title, found, others = "", False, False, list[BandRow](), list[str]()
+    found, others = list[BandRow](), list[str]()
+    section, title = ("", ""), None  # quantities and units of time
     for row, own in zip(rows, headings, strict=True):
-        is_new = heading is None or is_title or (own and own.at == heading.at)
-        if own and is_new and 2 * len(own.at) >= most:
-            heading, in_ms = own, in_ms or _is_in_ms(row, (*own.naming, *own.at))
+        is_new = heading is None or title or (own and own.at == heading.at)
+        # no row of times in s, or of levels, looks like this
+        is_sure = own and own.quantity in (*TIMES, "C50", "C80", "G") and section[1] != "ms"
+        if own and (is_sure or (is_new and 2 * len(own.at) >= most)):
+            unit = stated_unit((row.cells[i] for i in (*own.naming, *own.at)), SECONDS)
+            section = _filled((own.quantity, unit), title or section)
+            heading, title = own, None
             others += [c for i, c in enumerate(own.labels) if c and i not in (*own.naming, *own.at)]
-        elif row.is_remark or (heading and are_units(row)):
-            in_ms = in_ms or _is_in_ms(row, heading.at if heading else ())
+        elif heading and are_units(row):
+            section = _filled(("", stated_unit(row.cells, SECONDS)), section)
+        elif row.is_remark and (names or sheet.numbers(row.cells)):
+            continue  # a row that somebody took out
         elif heading and (names or any("".join(row.cells[i : i + 1]) for i in heading.at)):
-            is_title = False
-            found += _of_row(row, heading, quantity, sheet, in_ms=in_ms)
+            # a title that names nothing may be that of some positions
+            section, title = _filled(title or ("", ""), section), None
+            found += _of_row(row, heading, section, sheet)
         else:
-            before = (quantity, in_ms) if is_title else ("", False)
-            quantity = quantity_in(" ".join(row.cells), in_title=True)[0] or before[0]
-            in_ms, is_title = _is_in_ms(row, range(len(row.cells))) or before[1], True
+            unit = stated_unit(row.cells, SECONDS)
+            named = quantity_in(" ".join(row.cells), in_title=True)[0], unit
+            if any(named) or not row.is_remark:
+                title = _filled(named, title or ("", ""))
     if not found:
         needed = [*names, "125, 250, ..."]
-        raise _lacking(path, what, sheet.rows, needed, "values" if heading else "bands")
-    # a position may be called G or T, and a quantity beside others
-    if all(len(row.names[0]) == 1 for row in found if row.quantity):
-        found = [row._replace(quantity="", rest=row.names[0]) for row in found]
-    return found, others
+        raise lacking(path, what, sheet.rows, needed, "values" if heading else "bands")
+    return _called(found), others
 
 
-def _is_in_ms(row: Row, columns: Iterable[int]) -> bool:
-    """Whether some cells of a row say that values are in milliseconds."""
-    label = ";".join(["", *(cell for i, cell in enumerate(_small(row)) if i in columns)])
-    return bool(re.search(r"[\[(;]ms([\])]|\b)|\bin ms\b", label))
+def _called(rows: list[BandRow]) -> list[BandRow]:
+    """Return rows, those as of their section that may be positions: R10, G, or C50 beside C1."""
+    series = {r.names[0][:-1] for r in rows if not r.quantity and r.names[0][-1:].isdigit()}
+    plain = [
+        row._replace(quantity=row.section, rest=" ".join(row.names))
+        if row.quantity in ("", "label", *(n.upper() for n in row.names if len(n) == 1))
+        or (row.names[0][-1:].isdigit() and row.names[0].rstrip(digits) in series)
+        else row
+        for row in rows
+    ]
+    # unless others there are called by times
+    sure = {row.section for row in plain if row.quantity in TIMES and "…" in row.rest}
+    return [row if row.section in sure else own for row, own in zip(rows, plain, strict=True)]
 
 
-def _of_row(
-    row: Row, heading: _Bands, section: str, sheet: Sheet, *, in_ms: bool
-) -> Iterator[BandRow]:
+def _filled(named: tuple[str, str], other: tuple[str, str]) -> tuple[str, str]:
+    return named[0] or other[0], named[1] or other[1]
+
+
+def _of_row(row: Row, heading: _Bands, section: tuple[str, str], sheet: Sheet) -> Iterator[BandRow]:
     """Yield what a row holds of each quantity."""
     cells = row.cells + [""] * (len(heading.labels) - len(row.cells))
-    naming, at, labels = heading
+    naming, at, labels, _ = heading
     if 0 in at and len(cells) > len(labels) and not sheet.number(cells[0]):
         # names without a heading of their own
         naming, at, labels = [0], {i + 1: own for i, own in at.items()}, ["", *labels]
     blank = [c for c, label in zip_longest(cells, labels, fillvalue="") if not label]
     if sheet.numbers(c for c in blank if c not in cells[:1]):
-        raise InputError(
-            "a table with more values than bands",
-            where=row.where,
-            found=f"{len(cells) - len(naming)}",
-            needed=f"{len(at)}, one for each centre",
-            hint="decimal commas make two cells of one number: write a point, or semicolons",
-        )
+        what, needed = "a table with more values than bands", f"{len(at)}, one for each centre"
+        hint = "decimal commas make two cells of one number: write a point, or semicolons"
+        n = f"{len(cells) - len(naming)}"
+        raise InputError(what, where=row.where, found=n, needed=needed, hint=hint)
     names = tuple(cells[i] for i in naming) or ("",)
-    in_ms = in_ms or _is_in_ms(row, naming)
-    own, rest = quantity_in(" ".join(filter(None, names)))
-    for column in dict.fromkeys(quantity for quantity, _ in at.values()):
-        of = " ".join(filter(None, (names[-1], *names[:-1])))
-        by_band = {}
-        for i, (quantity, hz) in at.items():
-            if quantity == column:
-                place = row.where if "column" in row.where else f"{row.where}, column {i + 1}"
-                by_band[hz] = (cells[i], f"{place} ({of} at {hz:g} Hz)")
-        yield BandRow(row.where, names, column or own or section, rest, by_band, in_ms, sheet)
+    unit = stated_unit((n for n in names if not is_word("unit", n)), SECONDS) or section[1]
+    own, rest = quantity_in(" | ".join(filter(None, names)))
+    of = " ".join(filter(None, (names[-1], *names[:-1])))
+    columns: dict[str, dict[float, tuple[str, str]]] = {}
+    for i, (column, hz) in at.items():
+        place = row.where if "column" in row.where else f"{row.where}, column {i + 1}"
+        columns.setdefault(column, {})[hz] = (cells[i], f"{place} ({of} at {hz:g} Hz)")
+    for column, by_band in columns.items():
+        of_column = (column or own, rest, column or section[0])
+        yield BandRow(row.where, names, *of_column, by_band, unit, sheet)
 
 
 def _bands(row: Row, names: Sequence[str], sheet: Sheet) -> _Bands | None:
@@ -384,30 +401,31 @@ def _bands(row: Row, names: Sequence[str], sheet: Sheet) -> _Bands | None:
     }
     first = next(i for i, word in enumerate(words) if word)
     others = [w for i, w in enumerate(words) if w and i not in (*at, *naming)]
-    is_data = set(sheet.numbers(others)) - set(_BELOW) or (first in at and others)
+    is_data = bool(set(sheet.numbers(others)) - set(_BELOW) or (first in at and others))
     n, n_different = len(at), len(set(at.values()))
+    is_data |= n_different < n and bool(quantity_in(words[0])[0])  # Ts of 125, 125 and 80 ms
     if -1 in naming or (not names and (is_data or n_different < max(1 + (first in at), min(n, 2)))):
         return None
     if n_different < max(n, 1):
-        raise InputError(
-            f"a table {'whose centres stand twice' if at else 'without bands'}",
-            where=row.where,
-            found=", ".join(row.cells)[:80],
-            needed=f"{', '.join([*names, '125, 250'])}, ...: nominal centres in Hz",
-            hint="write each band once, as 500, 500 Hz or 1 kHz",
-        )
-    return _Bands(naming or list(range(min(at))), at, row.cells)
+        what = f"a table {'whose centres stand twice' if at else 'without bands'}"
+        found, hint = ", ".join(row.cells)[:80], "write each band once, as 500, 500 Hz or 1 kHz"
+        needed = f"{', '.join([*names, '125, 250'])}, ...: nominal centres in Hz"
+        raise InputError(what, where=row.where, found=found, needed=needed, hint=hint)
+    naming = naming or list(range(min(at)))
+    quantity, _ = quantity_in(" | ".join(row.cells[i] for i in naming), in_title=True)
+    return _Bands(naming, at, row.cells, quantity)
 
 
 def _centres_hz(labels: Sequence[str], *, is_in_khz: bool = False) -> list[float | None]:
     """Return the nominal centres that labels are, as 500, 500 Hz, 1 kHz, 1k25, 1.250 or 1258.9."""
     found: list[tuple[float | None, float | None]] = []
     for label in labels:
-        match = words_of("centre").fullmatch(words_of("quantity").sub("", label))
-        digits, k, decimals = match.groups() if match else ("0", "", "")
+        plain = re.sub(r"(?<![\d.,])(\d+)k(\d+)", r"\1.\2k", words_of("quantity").sub("", label))
+        match = words_of("centre").fullmatch(plain)
+        number, k = match.groups() if match else ("0", "")
         kilo = 1000.0 if k or is_in_khz else 1.0
-        hz = kilo * float(digits.replace(",", ".") + (f".{decimals}" if decimals else ""))
-        grouped_hz = kilo * float(re.sub("[.,]", "", digits)) if _GROUPED.fullmatch(digits) else hz
+        hz = kilo * float(number.replace(",", "."))
+        grouped_hz = kilo * float(re.sub("[.,]", "", number)) if _GROUPED.fullmatch(number) else hz
         found.append((_nominal_hz(hz), _nominal_hz(grouped_hz)))
     # 1.250 is 1250 where it cannot be 1.25, and then 12.500 beside it is 12500
     has_groups = any(plain is None and grouped for plain, grouped in found)
@@ -438,10 +456,8 @@ def _bands_across(sheet: Sheet, path: Path) -> list[Row]:
         if block and (hz in block or (hz is None and len(sheet.numbers(row.cells)) < 2)):
             n = max(len(own.cells) for own in block.values())
             head = _head_of(n, above, sheet) or head
-            turned += [
-                *above,
-                *_turned([*head, *[""] * (n - len(head))], column, block, sheet, path),
-            ]
+            labels = [*head, *[""] * (n - len(head))]
+            turned += [*above, *_turned(labels, column, block, sheet, path)]
             above, block = [], {}
         if hz:
             block[hz] = row
@@ -483,14 +499,15 @@ def _turned(
 ) -> Iterator[Row]:
     """Yield a heading of bands, and each column of numbers of a block as a row."""
     where = next(iter(block.values())).where
-    if len(labels) > column + 2 and not any(labels):
-        what, hint = "columns without a heading", "name them in a line above: Hz, T30 [s], ..."
-        needed, found = "bands and one column, or names of columns", f"{len(labels)} columns"
-        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
-    yield Row(where, ["", *(f"{hz:g}" for hz in block)])
+    corner = re.sub("khz", "Hz", labels[column], flags=re.IGNORECASE)
+    yield Row(where, [corner, *(f"{hz:g}" for hz in block)])
     for i, label in enumerate(labels[column + 1 :], start=column + 1):
         cells = ["".join(row.cells[i : i + 1]) for row in block.values()]
-        if sheet.numbers(cells) and not is_word("frequency", label.casefold()):
+        if sheet.numbers(cells) and not label and len(labels) > column + 2:
+            what, hint = "columns without a heading", "name them in a line above: Hz, T30 [s], ..."
+            needed, found = "bands and one column, or names of columns", f"{len(labels)} columns"
+            raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+        if sheet.numbers(cells) and not is_word("frequency", label):
             yield Row(f"{path}, column {i + 1}", [label, *cells])
 
 
@@ -562,4 +579,7 @@ def _cell(cell: Any, texts: list[str]) -> str:
         return _text(cell)
     value = cell.find(f"{_MAIN}v")
     text = "" if value is None or value.text is None else str(value.text)
-    return texts[int(text)] if cell.get("t") == "s" and text else text
+    # a fourth decimal, so that its point is none of thousands
+    return (
+        texts[int(text)] if cell.get("t") == "s" and text else re.sub(r"\.\d{3}$", r"\g<0>0", text)
+    )

@@ -13,7 +13,7 @@ from roomfit.base.arguments import check_known
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.polygon import Face, Surface, area_vector_m2
 from roomfit.files.schema import PolygonSpec
-from roomfit.files.tables import Line, table_lines
+from roomfit.files.tables import lacking, read_sheet
 from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite, malformed
 
 _NUMBER = r"number|n[or]\.?|plane( no\.?)?|corner no\."
@@ -35,25 +35,49 @@ class Plane(NamedTuple):
     where: str  # file and line
 
 
-def _numbered(path: Path, kind: str, columns: tuple[str, ...]) -> dict[str, Line]:
-    """Return the rows of a table that have a number of their own, by it; others are notes."""
-    found: dict[str, Line] = {}
-    for line in table_lines(path, f"table of {kind}s", (_NUMBER, *columns), ","):
-        number = _as_number(line.cells[_column(line, _NUMBER)])
+class _Line(NamedTuple):
+    """One row below a heading."""
+
+    where: str  # file and line
+    heading: list[str]  # in small letters
+    cells: list[str]  # as many as the heading has, or more
+
+    def cell(self, pattern: str) -> str:
+        """Return the cell of the first column whose name has a pattern; "" where there is none."""
+        names = zip(self.heading, self.cells, strict=False)
+        return next((cell for name, cell in names if re.fullmatch(pattern, name)), "")
+
+
+def _numbered(path: Path, kind: str, columns: tuple[str, ...]) -> dict[str, _Line]:
+    """Return the rows of a table that have a number of their own, by it; others are notes.
+
+    They stand below a heading that has all columns, by patterns of their names, or a later one.
+    """
+    found: dict[str, _Line] = {}
+    heading: list[str] = []
+    names, what = (_NUMBER, *columns), f"table of {kind}s"
+    rows = read_sheet(path, what, ",").rows
+    for row in rows:
+        words = [" ".join(cell.casefold().split()) for cell in row.cells]
+        if all(any(re.fullmatch(name, word) for word in words) for name in names):
+            heading = words
+        if words == heading or not heading or row.is_remark:
+            continue
+        line = _Line(row.where, heading, row.cells + [""] * (len(heading) - len(row.cells)))
+        number = _as_number(line.cell(_NUMBER))
         if kind == "plane":
             is_one = len(_corners_of(line)) >= 3
         else:
-            is_one = all(_is_finite(line.cells[line.heading.index(axis)]) for axis in "xyz")
+            is_one = all(_is_finite(line.cell(axis)) for axis in "xyz")
         if number in found or (number is None and is_one):
-            what = f"a {kind} without a number of its own"
+            wrong = f"a {kind} without a number of its own"
             hint = f"number the rows, each once; a {kind} is replaced by a later table alone"
             given = ", ".join(line.cells)[:60]
-            raise malformed(what, line.where, given, "each number once", hint)
+            raise malformed(wrong, line.where, given, "each number once", hint)
         if number is not None:
             found[number] = line
     if not found:
-        what, hint = f"the table holds no {kind}s", f"export the sheet of {kind}s, with its rows"
-        raise malformed(what, str(path), "no row with a number", f"a row for each {kind}", hint)
+        raise lacking(path, what, rows, names, "values" if heading else "a heading")
     return found
 
 
@@ -66,7 +90,7 @@ def read_corners(path: Path) -> Corners:
     """
     corners: Corners = {}
     for number, line in _numbered(path, "corner", ("x", "y", "z")).items():
-        x, y, z = (finite(line.cells[line.heading.index(axis)], line.where) for axis in "xyz")
+        x, y, z = (finite(line.cell(axis), line.where) for axis in "xyz")
         corners[number] = (x, y, z)
     return corners
 
@@ -89,26 +113,23 @@ def read_planes(path: Path) -> dict[str, Plane]:
             hint = "name its corners in their order, or leave the row out"
             what, found = "a plane has fewer than three corners", f"plane {number}: {len(corners)}"
             raise malformed(what, line.where, found, needed, hint)
-        area = line.cell("area")
+        area = line.cell("area.*")
         planes[number] = Plane(
             number,
             corners,
-            line.cell("material") or None,
-            line.cell("name", "description") or None,
+            line.cell("material.*") or None,
+            line.cell("(name|description).*") or None,
             float(area) if _is_finite(area) else None,
             line.where,
         )
     return planes
 
 
-def _column(line: Line, pattern: str) -> int:
-    return next(i for i, word in enumerate(line.heading) if re.fullmatch(pattern, word))
-
-
-def _corners_of(line: Line) -> tuple[str, ...]:
+def _corners_of(line: _Line) -> tuple[str, ...]:
     """Return the run of numbers from the first corner column up to the next other column."""
     corners: list[str] = []
-    for column in range(_column(line, _CORNER), len(line.cells)):
+    first = next(i for i, word in enumerate(line.heading) if re.fullmatch(_CORNER, word))
+    for column in range(first, len(line.cells)):
         word = line.heading[column] if column < len(line.heading) else ""
         number = _as_number(line.cells[column])
         if number is None or word.startswith(("material", "area", "name", "sides")):
@@ -124,10 +145,7 @@ def _as_number(cell: str) -> str | None:
 
 
 def _is_finite(cell: str) -> bool:
-    try:
-        return abs(float(cell)) < float("inf")
-    except ValueError:
-        return False
+    return bool(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", cell, re.IGNORECASE))
 
 
 def read_polygons(
