@@ -21,11 +21,11 @@ def nearest(curve, r0, weak=1e-4):
     rough = weak * np.vstack([curve.roughness, np.eye(n)])
 
     def rows(x):
-        off = curve.r0(x) - r0
+        off = curve.values(x)[0] - r0
         return np.concatenate([off.real, off.imag, rough @ (x - curve.start)])
 
     def slopes(x):
-        by = curve.slope(x)
+        by = curve.values(x)[1]
         return np.vstack([by.real, by.imag, rough])
 
     return least_squares(rows, curve.start, slopes, max_nfev=60).x

@@ -10,11 +10,11 @@ from scipy.special import wofz
 
 from impedance_cases import exact, nearest
 from roomfit.base.air import Air
-from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
+from roomfit.impedance.data import Observed, complex_frequency_hz, deviation
 from roomfit.impedance.laws import (
+    WallModel,
     absorption_random,
     causal_curve,
-    constant,
     impedance_of_r0,
     r0_of_impedance,
     spline,
@@ -190,10 +190,14 @@ def test_derivatives_are_those_of_central_differences(kind):
     p = rng.normal(size=(4, 4)) + 1j * rng.normal(size=(4, 4))
     observed = Observed(f, tau, 0.01 * p, has_phase=kind != "levels")
     at = complex_frequency_hz(observed)
-    curves = (causal_curve(at, 0.5 + 0.2j), constant(f, 0.9 - 0.1j), spline(f, 0.3 - 0.4j))
+    curves = (
+        causal_curve(at, 0.5 + 0.2j),
+        WallModel("constant", 0.9 - 0.1j).curve(at),
+        spline(f, 0.3 - 0.4j),
+    )
     gain = "spectrum" if kind == "spectrum" else "pair"
     nuisances = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
-    problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, nuisances)
+    problem = Problem(model, observed, deviation(scene, observed), curves, nuisances)
     x = start_of(problem) + 0.3 * rng.normal(size=problem.layout.size) * (
         np.arange(problem.layout.size) > 5
     )
@@ -273,14 +277,14 @@ def test_the_slope_of_a_causal_curve_is_that_of_central_differences(tau_s):
     curve = causal_curve(damped(tau_s=tau_s))
     x = curve.start + 0.03 * np.random.default_rng(1).normal(size=len(curve.start))
     numeric = np.column_stack(
-        [(curve.r0(x + e) - curve.r0(x - e)) / 2e-6 for e in 1e-6 * np.eye(len(x))]
+        [(curve.values(x + e)[0] - curve.values(x - e)[0]) / 2e-6 for e in 1e-6 * np.eye(len(x))]
     )
-    slope = curve.slope(x)
+    slope = curve.values(x)[1]
     np.testing.assert_allclose(numeric, slope, atol=1e-7 * np.abs(slope).max())
     chosen = np.array([3, 8, 20])
-    np.testing.assert_array_equal(curve.at(chosen).r0(x), curve.r0(x)[chosen])
+    np.testing.assert_array_equal(curve.at(chosen).values(x)[0], curve.values(x)[0][chosen])
     # sums of another number of rows may be made in another order
-    np.testing.assert_allclose(curve.at(chosen).slope(x), slope[chosen], rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(curve.at(chosen).values(x)[1], slope[chosen], rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -297,7 +301,7 @@ def test_whatever_its_density_a_causal_curve_is_a_wall_that_energy_and_time_allo
     x = curve.start
     x[:n] += 0.1 * np.cumsum(rng.normal(size=n)) / np.sqrt(n) + 0.03 * rng.normal(size=n)
     s = 2j * np.pi * f.real + 1.0 / 0.010
-    r = np.append(curve.r0(x), curve.r0(x).conj())
+    r = np.append(curve.values(x)[0], curve.values(x)[0].conj())
     s = np.append(s, s.conj())
     pick = (1.0 - np.outer(r, r.conj())) / (s[:, None] + s.conj())
     pick = pick * 2.0 * np.sqrt(np.outer(s.real, s.real))
@@ -315,7 +319,8 @@ def test_a_density_that_is_a_power_of_frequency_has_that_power_as_its_admittance
     f = damped()
     admittance = 0.2 * np.exp(0.5j * np.pi * power)
     curve = causal_curve(f, complex((1.0 - admittance) / (1.0 + admittance)))
-    found = (1.0 - curve.r0(curve.start)) / (1.0 + curve.r0(curve.start))
+    r0 = curve.values(curve.start)[0]
+    found = (1.0 - r0) / (1.0 + r0)
     s = (2j * np.pi * f.real + 100.0) / (2.0 * np.pi * np.sqrt(100.0 * 1000.0))
     np.testing.assert_allclose(found, 0.2 * s**power, rtol=0.1 if power else 3e-3)
 
@@ -330,7 +335,7 @@ def test_walls_of_every_law_are_causal_curves_or_nearly_so():
         (miki_layer(f, 2e4, 0.04, 0.0, 343.0), 0.009),
     ):
         r0 = r0_of_impedance(z)
-        found = curve.r0(nearest(curve, r0, 1e-5))
+        found = curve.values(nearest(curve, r0, 1e-5))[0]
         assert np.sqrt(np.mean(np.abs(found - r0) ** 2)) < most
 
 
@@ -344,7 +349,7 @@ def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
     off = []
     for moved_m in (0.01, -0.01):
         r0 = 0.97 * np.exp(2j * k * moved_m)
-        found = curve.r0(nearest(curve, r0, 1e-5))
+        found = curve.values(nearest(curve, r0, 1e-5))[0]
         off.append(np.sqrt(np.mean(np.abs(found - r0) ** 2)))
     assert off[0] > 0.08
     assert off[1] < 0.02

@@ -10,9 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.arguments import check_range, float_array, read_only
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.room.mesh import mean_free_path_m
+from roomfit.room.scene import Scene
 from roomfit.signals.response import ImpulseResponse, times_s
 
 # Error of the image model itself against exact wave fields, spherical or plane waves at the walls:
@@ -87,25 +90,19 @@ def smoothed(values: FloatArray, frequency_hz: FloatArray, reach: float) -> Floa
     return np.asarray((near @ values) / near.sum(axis=1))
 
 
-def model_error(
-    frequency_hz: FloatArray, free_path_m: float, speed_m_s: float, factor: float = MODEL_ERROR
-) -> FloatArray:
+def model_error(scene: Scene, frequency_hz: FloatArray, factor: float = MODEL_ERROR) -> FloatArray:
     """Return the rms error of image sources against exact waves, over the rms pressure.
 
     `factor` over the wavenumber times the mean free path: it falls with frequency as what a
     reflected spherical wave leaves out does.
     """
-    return np.asarray(factor * speed_m_s / (2.0 * np.pi * frequency_hz * free_path_m))
+    free_path_m, speed = mean_free_path_m(scene.room.mesh), speed_of_sound_m_s(scene.air)
+    return np.asarray(factor * speed / (2.0 * np.pi * frequency_hz * free_path_m))
 
 
-def standard_deviation(
-    observed: Observed, free_path_m: float, speed_m_s: float, factor: float = MODEL_ERROR
-) -> FloatArray:
-    """Return the rms residual of a perfect fit: noise, and the error of image sources.
-
-    `factor`: of the model's own error, see `model_error`.
-    """
-    share = model_error(observed.frequency_hz, free_path_m, speed_m_s, factor)
+def deviation(scene: Scene, observed: Observed, factor: float = MODEL_ERROR) -> FloatArray:
+    """Return the rms residual of a perfect fit: noise, and the error of image sources."""
+    share = model_error(scene, observed.frequency_hz, factor)
     model = np.broadcast_to(share * level_at(observed), observed.pressure.shape)
     noise = 0.0 if observed.noise is None else observed.noise
     return np.asarray(np.sqrt(model**2 + np.square(noise)))

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.base.typing import ComplexArray, FloatArray, Progress
+from roomfit.impedance.data import Observed, deviation
 from roomfit.impedance.problem import (
     Problem,
     Rows,
     data_rows,
-    deviation,
     prior_rows,
     r0_of,
     start_of,
@@ -52,9 +52,9 @@ class ImpedanceFit(NamedTuple):
     correction: ComplexArray  # (n_pairs, n_frequencies)
     roughness_sd: FloatArray  # (n_materials,)
     residual: FloatArray  # (n_rows,), of the data, in standard deviations
+    jacobian: FloatArray  # (n_rows, n_unknowns), of the data
+    normal: FloatArray  # (n_unknowns, n_unknowns), J^T J of data and priors
     effective: float  # how many numbers the data determined
-    covariance: FloatArray  # (n_unknowns, n_unknowns), with the model error as it is in this room
-    model_error: float  # that error, see `marginal_likelihood_error`
     evaluations: int
     rounds: int
     ending: Ending  # converged where R0 moved no more from one round to the next
@@ -142,11 +142,11 @@ def polish(
     if problem.nuisances.free_spectra:
         n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
         effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
-    linear = Whitened(residual, jacobian, found.normal)
-    error = marginal_likelihood_error(problem, linear)
-    covariance = robust_covariance(problem, linear, error, effective)
-    walls, ways = (passive(r0), correction, rough), (evaluations, rounds, ending)
-    return ImpedanceFit(problem, x, *walls, residual, effective, covariance, error, *ways)
+    return ImpedanceFit(
+        problem, x, passive(r0), correction, rough,
+        residual, jacobian, found.normal, effective,
+        evaluations, rounds, ending,
+    )  # fmt: skip
 
 
 def _correction(problem: Problem, x: FloatArray) -> ComplexArray:
@@ -192,15 +192,7 @@ _MEDIAN, _LOG_SD = 0.5, 0.5
 _GRID = np.geomspace(0.06, 6.0, 47)
 
 
-class Whitened(NamedTuple):
-    """A fit at its end, linearised: what its marginal likelihood needs."""
-
-    residual: FloatArray  # (n_rows,), of the data, in standard deviations
-    jacobian: FloatArray  # (n_rows, n_unknowns)
-    normal: FloatArray  # (n_unknowns, n_unknowns), J^T J of data and priors
-
-
-def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
+def marginal_likelihood_error(fit: ImpedanceFit) -> float:
     """Return the factor of the model's own error under which the data are most probable.
 
     The restricted likelihood [1]_: unknowns of the fit integrated out, which accounts for what they
@@ -214,15 +206,17 @@ def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
     .. [1] H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are
            unequal", Biometrika 58, 545-554 (1971).
     """
+    problem = fit.problem
     if problem.model_error == 0.0:
         return 0.0
     grid = _GRID[_GRID >= _MEDIAN] if problem.nuisances.free_spectra else _GRID
-    costs = [_cost(problem, fit, share) for share in grid]
+    costs = [_cost(fit, share) for share in grid]
     return float(grid[int(np.argmin(costs))]) * problem.model_error
 
 
-def _cost(problem: Problem, fit: Whitened, share: float) -> float:
+def _cost(fit: ImpedanceFit, share: float) -> float:
     """Return twice the negative logarithm of likelihood times prior, but for a constant."""
+    problem = fit.problem
     variance = _relative_variance(problem, share * problem.model_error)
     weight = 1.0 / variance
     changed = fit.normal + fit.jacobian.T @ ((weight - 1.0)[:, None] * fit.jacobian)
@@ -246,9 +240,7 @@ def _relative_variance(problem: Problem, factor: float) -> FloatArray:
     return np.tile(ratio, 2) if problem.observed.has_phase else np.asarray(ratio)
 
 
-def robust_covariance(
-    problem: Problem, fit: Whitened, factor: float, effective: float
-) -> FloatArray:
+def robust_covariance(fit: ImpedanceFit, factor: float) -> FloatArray:
     """Return the covariance of the unknowns for another model error than that of the weights.
 
     ``N^-1 (J^T V J + P^T P) N^-1`` [1]_, V the variance of the rows over that of their weights;
@@ -259,10 +251,10 @@ def robust_covariance(
     .. [1] H. White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica
            48, 817-838 (1980).
     """
-    variance = _relative_variance(problem, factor)
+    variance = _relative_variance(fit.problem, factor)
     inverse = np.linalg.pinv(fit.normal, hermitian=True)
     spread = fit.normal + fit.jacobian.T @ ((variance - 1.0)[:, None] * fit.jacobian)
-    free = max(len(fit.residual) - effective, 1.0)
+    free = max(len(fit.residual) - fit.effective, 1.0)
     chi2 = float(np.sum(fit.residual**2 / variance)) / free
     return np.asarray(inverse @ spread @ inverse * max(chi2, 1.0))
 
@@ -325,14 +317,11 @@ def thinned(problem: Problem) -> Problem:
     if every == 1:
         return problem
     chosen, whole = np.arange(0, n_f, every), problem.observed
-    observed = replace(
-        whole,
-        frequency_hz=whole.frequency_hz[chosen],
-        pressure=whole.pressure[:, chosen],
-        noise=None if whole.noise is None else whole.noise[:, chosen],
+    f, pressure = whole.frequency_hz[chosen], whole.pressure[:, chosen]
+    return replace(
+        problem,
+        model=at_frequencies(problem.model, chosen),
+        observed=Observed(f, whole.tau_s, pressure, has_phase=whole.has_phase),
+        sd=problem.sd[:, chosen],
+        curves=tuple(c.at(chosen) for c in problem.curves),
     )
-    model, curves = (
-        at_frequencies(problem.model, chosen),
-        tuple(c.at(chosen) for c in problem.curves),
-    )
-    return replace(problem, model=model, observed=observed, sd=problem.sd[:, chosen], curves=curves)

@@ -18,6 +18,7 @@ from roomfit.impedance.data import (
     PLANE_MODEL_ERROR,
     Observed,
     complex_frequency_hz,
+    deviation,
     level_at,
 )
 from roomfit.impedance.fit import (
@@ -31,7 +32,7 @@ from roomfit.impedance.fit import (
     reduced_chi2,
 )
 from roomfit.impedance.laws import WallModel
-from roomfit.impedance.problem import Problem, check_observed, deviation
+from roomfit.impedance.problem import Problem, check_observed
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, wave_model
 from roomfit.room.scene import Scene
@@ -142,7 +143,7 @@ def identify_impedance(
     problem = wave_problem(scene, observed, walls, nuisances, settings)
     findings = verdict.data_findings(problem)
     if findings:
-        return verdict.result_without_fit(problem, findings, time.perf_counter() - began)
+        return verdict.result_without_fit(problem, findings)
     n_random = (settings or ImpedanceSettings()).random_starts
     _LOG.info("searching starts")
     starts = multistart(problem, n_random, rng, part(progress, 0.0, 0.3))
@@ -155,7 +156,8 @@ def identify_impedance(
         fit = polish(replace(problem, observed=shown, sd=sd), fit.x, fit.roughness_sd)
     if progress is not None:
         progress(0.9)
-    return verdict.judged_result(fit, starts, rivals, observed, time.perf_counter() - began)
+    result = verdict.judged_result(fit, starts, rivals, observed)
+    return replace(result, seconds=time.perf_counter() - began)
 
 
 def wave_problem(
@@ -166,11 +168,8 @@ def wave_problem(
     settings: ImpedanceSettings | None = None,
 ) -> Problem:
     """Return what `identify_impedance` solves first; arguments and errors as there."""
-    settings, nuisances, walls = (
-        settings or ImpedanceSettings(),
-        nuisances or Nuisances(),
-        walls or {},
-    )
+    settings, nuisances = settings or ImpedanceSettings(), nuisances or Nuisances()
+    walls = walls or {}
     check_observed(scene, observed, nuisances)
     for name in walls:
         what = "a model is specified for a wall that does not exist"
@@ -179,10 +178,8 @@ def wave_problem(
     factor = factor if settings.model_error is None else settings.model_error
     f = complex_frequency_hz(observed)
     curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
-    model, sd = (
-        wave_model(scene, observed.frequency_hz, observed.tau_s),
-        _deviation(scene, observed, factor),
-    )
+    model = wave_model(scene, observed.frequency_hz, observed.tau_s)
+    sd = _deviation(scene, observed, factor)
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 

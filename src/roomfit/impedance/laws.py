@@ -30,7 +30,6 @@ class Spline:
 
     kind: str  # "spline", or "constant" where the one function is 1
     basis: FloatArray  # (n_frequencies, n_functions)
-    dense: FloatArray  # (n_points, n_functions): on a finer grid, where R0 must be passive
     start_r0: complex = 0.8
     prior_sd: ClassVar[float] = math.inf  # of each number about its start
 
@@ -46,17 +45,12 @@ class Spline:
             return np.zeros((0, 2 * n))
         return np.asarray(np.kron(np.eye(2), np.diff(np.eye(n), 2, axis=0)), dtype=np.float64)
 
-    def r0(self, x: FloatArray) -> ComplexArray:
-        return _complex(self.basis, x)
-
-    def slope(self, x: FloatArray) -> ComplexArray:  # noqa: ARG002 -- the same everywhere
-        return np.hstack([self.basis, 1j * self.basis])
+    def values(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return R0, (n_frequencies,), and its derivatives by x."""
+        return _complex(self.basis, x), np.hstack([self.basis, 1j * self.basis])
 
     def at(self, chosen: IntArray) -> Spline:
         return replace(self, basis=self.basis[chosen])
-
-    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        return _complex(self.dense, x), np.hstack([self.dense, 1j * self.dense])
 
 
 def _complex(basis: FloatArray, x: FloatArray) -> ComplexArray:
@@ -71,13 +65,8 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     fewer than four frequencies each is free.
     """
     if len(frequency_hz) < _LEAST_COUPLED:
-        eye = np.eye(len(frequency_hz))
-        return Spline("spline", eye, eye, start_r0)
-    knots = _knots_hz(frequency_hz)
-    fine = np.exp(np.linspace(np.log(knots[0]), np.log(knots[-1]), 8 * len(knots)))
-    dense = np.concatenate([frequency_hz, fine])
-    basis, of_dense = (_design(knots, f)[0] for f in (frequency_hz, dense))
-    return Spline("spline", basis, of_dense, start_r0)
+        return Spline("spline", np.eye(len(frequency_hz)), start_r0)
+    return Spline("spline", _design(_knots_hz(frequency_hz), frequency_hz)[0], start_r0)
 
 
 def _knots_hz(frequency_hz: FloatArray) -> FloatArray:
@@ -153,16 +142,11 @@ class CausalCurve:
         rows = np.diff(np.eye(n), 2, axis=0)
         return np.hstack((rows, np.zeros((len(rows), 2 * self.basis.shape[1]))))
 
-    def r0(self, x: FloatArray) -> ComplexArray:
-        return self.between(x)[0]
-
-    def slope(self, x: FloatArray) -> ComplexArray:
-        return self.between(x)[1]
-
     def at(self, chosen: IntArray) -> CausalCurve:
         return replace(self, kernel=self.kernel[chosen], basis=self.basis[chosen])
 
-    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def values(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return R0, (n_frequencies,), and its derivatives by x."""
         n = len(self.log_coefficients)
         # a trial step may lead anywhere
         density = np.exp(np.clip(_LOG_UNIT * (self.density @ x[:n]), -50.0, 15.0))
@@ -223,18 +207,6 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
     )
 
 
-def as_spline(curve: Curve) -> Curve:
-    """Return a spline in place of a causal curve, every other curve as it is."""
-    if not isinstance(curve, CausalCurve):
-        return curve
-    return Spline(curve.kind, curve.basis, curve.basis, curve.start_r0)
-
-
-def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
-    """Return a reflection coefficient that does not change with frequency."""
-    return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
-
-
 _ANGLES = 64
 
 
@@ -290,5 +262,5 @@ class WallModel:
     def curve(self, frequency_hz: ComplexArray) -> Curve:
         """Return R0 at complex frequencies, as a fit starts with it."""
         if self.kind == "constant":
-            return constant(np.asarray(frequency_hz.real), self.start_r0)
+            return Spline("constant", np.ones((len(frequency_hz), 1)), self.start_r0)
         return causal_curve(frequency_hz, self.start_r0)

@@ -18,14 +18,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.arguments import check_shape, read_only
+from roomfit.base.arguments import check_shape
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
-from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz, standard_deviation
+from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz
 from roomfit.impedance.laws import Curve
 from roomfit.impedance.wave_model import Gradients, Nuisances, State, WaveModel, at_rest, gradients
-from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Point, Scene
 
 
@@ -62,7 +60,7 @@ class Problem:
 
     model: WaveModel
     observed: Observed
-    sd: FloatArray  # (n_pairs, n_frequencies), see `deviation`
+    sd: FloatArray  # (n_pairs, n_frequencies), see `roomfit.impedance.data.deviation`
     curves: tuple[Curve, ...]  # one a material
     nuisances: Nuisances
     spherical: bool = True
@@ -70,7 +68,6 @@ class Problem:
     layout: Layout = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sd", read_only(np.array(self.sd, dtype=np.float64)))
         layout = layout_of(self.model.scene, self.curves, self.nuisances)
         object.__setattr__(self, "layout", layout)
 
@@ -82,12 +79,6 @@ def check_observed(scene: Scene, observed: Observed, nuisances: Nuisances) -> No
         what = "an unknown spectrum of the source needs pressures with phase"
         needed, hint = "pressures with phase", "take one gain a source instead"
         raise InputError(what, found="levels", needed=needed, hint=hint)
-
-
-def deviation(scene: Scene, observed: Observed, factor: float) -> FloatArray:
-    """Return the rms residual of a perfect fit in a room, see `standard_deviation`."""
-    free_path_m, speed = mean_free_path_m(scene.room.mesh), speed_of_sound_m_s(scene.air)
-    return standard_deviation(observed, free_path_m, speed, factor)
 
 
 def layout_of(scene: Scene, fitted: tuple[Curve, ...], nuisances: Nuisances) -> Layout:
@@ -141,7 +132,10 @@ def start_of(problem: Problem) -> FloatArray:
 def r0_of(problem: Problem, x: FloatArray) -> ComplexArray:
     """Return R0 of every material, shape (n_materials, n_frequencies)."""
     return np.array(
-        [c.r0(x[place]) for c, place in zip(problem.curves, problem.layout.curves, strict=True)]
+        [
+            c.values(x[place])[0]
+            for c, place in zip(problem.curves, problem.layout.curves, strict=True)
+        ]
     )
 
 
@@ -237,7 +231,7 @@ def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
     pairs, layout = problem.model.scene.pairs, problem.layout
     slope = np.zeros((*g.pressure.shape, layout.size), dtype=np.complex128)
     for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
-        slope[:, :, place] = g.by_r0[:, i, :, None] * curve.slope(x[place])
+        slope[:, :, place] = g.by_r0[:, i, :, None] * curve.values(x[place])[1]
     for moves, column, by in (
         (layout.source, pairs[:, 0], g.by_source),
         (layout.receiver, pairs[:, 1], g.by_receiver),
@@ -278,7 +272,9 @@ def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Row
         if math.isfinite(curve.prior_sd):
             eye = np.eye(len(curve.start)) / curve.prior_sd
             blocks.append((place, eye, eye @ (x[place] - curve.start)))
-        r0, slope = curve.between(x[place])
+        r0, slope = curve.values(x[place])
+        if curve.kind == "constant":
+            r0, slope = r0[:1], slope[:1]
         size = np.abs(r0)
         over = size > 1.0
         by = np.real(np.conj(r0[over] / size[over])[:, None] * slope[over])

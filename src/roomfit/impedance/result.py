@@ -124,7 +124,7 @@ class ImpedanceResult:
     measured: ComplexArray  # (n_pairs, n_frequencies)
     predicted: ComplexArray  # likewise, with gains and delays
     expected_rms: FloatArray  # likewise: rms of a perfect fit's residual, by noise and model error
-    seconds: float
+    seconds: float = 0.0
     nuisances: tuple[Estimate, ...] = ()  # of the measurement, estimated together with the walls
     # Sum of squared residuals over what noise and model error explain; 1 and less is good. This
     # and the next two are nan where nothing was fitted.

@@ -11,12 +11,19 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance import result
 from roomfit.impedance.data import Observed, level_at, model_error, smoothed
-from roomfit.impedance.fit import SAME_WITHIN, ImpedanceFit, Start, distance, reduced_chi2
-from roomfit.impedance.laws import Spline, as_spline
+from roomfit.impedance.fit import (
+    SAME_WITHIN,
+    ImpedanceFit,
+    Start,
+    distance,
+    marginal_likelihood_error,
+    reduced_chi2,
+    robust_covariance,
+)
+from roomfit.impedance.laws import Spline
 from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra, state_of
 from roomfit.impedance.wave_model import predicted_pressure
-from roomfit.room.mesh import mean_free_path_m
-from roomfit.room.scene import Scene
+from roomfit.room.scene import pair_names
 
 # Frequencies from which a curve couples them, so that phases can be done without.
 _COUPLED = 4
@@ -52,7 +59,7 @@ def data_findings(problem: Problem) -> tuple[Finding, ...]:
     """
     observed, curves, gain = problem.observed, problem.curves, problem.layout.gain
     (n_pairs, n_f), n_materials = observed.pressure.shape, len(curves)
-    needed = sum(len(as_spline(c).start) for c in curves) + gain.stop - gain.start
+    needed = sum(2 * c.basis.shape[1] for c in curves) + gain.stop - gain.start
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
     if problem.nuisances.free_spectra:
         data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
@@ -108,66 +115,58 @@ def judged_result(
     starts: tuple[Start, ...],
     rivals: tuple[ImpedanceFit, ...],
     observed: Observed,
-    seconds: float,
 ) -> result.ImpedanceResult:
     """Return the result of a fit with its verdict."""
-    problem = fit.problem
-    materials = _material_impedances(fit)
-    weaker = _weaker_findings(problem, observed)
+    error = marginal_likelihood_error(fit)
+    covariance = robust_covariance(fit, error)
+    materials = _material_impedances(fit, error, covariance)
+    weaker = _weaker_findings(fit.problem, observed)
     verdict, doubts = _verdict(fit, rivals, observed, materials)
-    return result.ImpedanceResult(
-        frequency_hz=problem.observed.frequency_hz,
-        tau_s=problem.observed.tau_s,
+    return replace(
+        _of_data(fit.problem),
         materials=materials,
         verdict=verdict._replace(weaker=bool(weaker)),
         findings=(*weaker, *doubts),
-        nuisances=_found_nuisances(fit),
+        nuisances=_found_nuisances(fit, covariance),
         chi2=reduced_chi2(fit),
-        model_error=fit.model_error,
+        model_error=error,
         condition=_wall_condition(fit),
         agreeing_starts=sum(distance(s.r0, starts[0].r0) <= SAME_WITHIN for s in starts),
         n_starts=len(starts),
-        pairs=pair_names(problem.model.scene),
-        measured=problem.observed.pressure,
         predicted=_predicted_pairs(fit),
-        expected_rms=problem.sd,
         ending=fit.ending.advice,
         evaluations=fit.evaluations,
         rounds=fit.rounds,
-        seconds=seconds,
     )
 
 
-def result_without_fit(
-    problem: Problem, findings: tuple[Finding, ...], seconds: float
-) -> result.ImpedanceResult:
+def result_without_fit(problem: Problem, findings: tuple[Finding, ...]) -> result.ImpedanceResult:
     """Return the result where the data cannot determine the unknowns: nothing but that."""
-    scene, observed, cause = problem.model.scene, problem.observed, "too few data"
-    n_f = len(observed.frequency_hz)
+    names, n_f = problem.model.scene.room.materials, len(problem.observed.frequency_hz)
     nothing, unbounded = np.zeros(n_f, dtype=np.complex128), np.tile(1e6 * np.eye(2), (n_f, 1, 1))
-    materials = (
-        result.material_impedance(m, "none", nothing, unbounded) for m in scene.room.materials
-    )
+    materials = (result.material_impedance(m, "none", nothing, unbounded) for m in names)
+    return replace(_of_data(problem), materials=tuple(materials), findings=findings)
+
+
+def _of_data(problem: Problem) -> result.ImpedanceResult:
+    """Return a result that says nothing yet but what was measured."""
+    observed, cause = problem.observed, "too few data"
     return result.ImpedanceResult(
         frequency_hz=observed.frequency_hz,
         tau_s=observed.tau_s,
-        materials=tuple(materials),
+        materials=(),
         verdict=result.Verdict("not identifiable", cause, f"Not identifiable: {cause}."),
-        findings=findings,
-        pairs=pair_names(scene),
+        findings=(),
+        pairs=tuple(name[:2] for name in pair_names(problem.model.scene)),
         measured=observed.pressure,
         predicted=np.zeros_like(observed.pressure),
         expected_rms=problem.sd,
-        seconds=seconds,
     )
 
 
-def pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
-    """Return source and receiver of every pair."""
-    return tuple((scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs)
-
-
-def _material_impedances(fit: ImpedanceFit) -> tuple[result.MaterialImpedance, ...]:
+def _material_impedances(
+    fit: ImpedanceFit, error: float, covariance: FloatArray
+) -> tuple[result.MaterialImpedance, ...]:
     """Return every material with its intervals.
 
     Besides noise, the intervals cover what the image model itself gets wrong. That does not average
@@ -176,27 +175,24 @@ def _material_impedances(fit: ImpedanceFit) -> tuple[result.MaterialImpedance, .
     off by ``|1 - R0**2|`` times 2.4 of the model's own error as it is found in the room, see
     `model_error`.
     """
-    problem = fit.problem
-    model, frequency_hz = problem.model, problem.observed.frequency_hz
-    free_path_m = mean_free_path_m(model.scene.room.mesh)
-    share = model_error(frequency_hz, free_path_m, model.speed_m_s, _OFFSET * fit.model_error)
+    problem, scene = fit.problem, fit.problem.model.scene
+    share = model_error(scene, problem.observed.frequency_hz, _OFFSET * error)
     found = []
-    for i, name in enumerate(model.scene.room.materials):
+    for i, name in enumerate(scene.room.materials):
         block, curve = problem.layout.curves[i], problem.curves[i]
-        own = fit.covariance[block, block]
-        slope = curve.slope(fit.x[block])
+        slope = curve.values(fit.x[block])[1]
         parts = np.stack([slope.real, slope.imag], axis=1)
         off = share * np.abs(1.0 - fit.r0[i] ** 2)
-        covariance = np.einsum("fai,ij,fbj->fab", parts, own, parts)
-        covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
-        found.append(result.material_impedance(name, curve.kind, fit.r0[i], covariance))
+        own = np.einsum("fai,ij,fbj->fab", parts, covariance[block, block], parts)
+        own = own + 0.5 * (off**2)[:, None, None] * np.eye(2)
+        found.append(result.material_impedance(name, curve.kind, fit.r0[i], own))
     return tuple(found)
 
 
-def _found_nuisances(fit: ImpedanceFit) -> tuple[result.Estimate, ...]:
+def _found_nuisances(fit: ImpedanceFit, covariance: FloatArray) -> tuple[result.Estimate, ...]:
     """Return every nuisance of a fit with its interval, in the order of the unknowns."""
     problem, layout, x = fit.problem, fit.problem.layout, fit.x
-    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scene, nuisances = problem.model.scene, problem.nuisances
     found: list[result.Estimate] = []
 
@@ -239,18 +235,14 @@ def _wall_condition(fit: ImpedanceFit) -> float:
     priors of theirs, after what the other unknowns can explain.
     """
     # by the numbers of a spline of R0: of a density's, some mean frequencies beyond the data
-    before = fit.problem.layout
-    problem = replace(fit.problem, curves=tuple(as_spline(c) for c in fit.problem.curves))
-    x = np.zeros(problem.layout.size)
-    blocks = zip(before.curves, problem.layout.curves, strict=True)
-    for (old, new), curve, r0 in zip(blocks, problem.curves, fit.r0, strict=True):
-        if isinstance(curve, Spline):
-            found = np.linalg.lstsq(curve.basis, r0, rcond=None)[0]
-            x[new] = np.concatenate((found.real, found.imag))
-        else:
-            x[new] = fit.x[old]
+    splines = tuple(Spline(c.kind, c.basis) for c in fit.problem.curves)
+    problem = replace(fit.problem, curves=splines)
     n = problem.layout.curves[-1].stop
-    x[n:] = fit.x[before.curves[-1].stop :]
+    found = [
+        np.linalg.lstsq(c.basis, r0, rcond=None)[0] for c, r0 in zip(splines, fit.r0, strict=True)
+    ]
+    walls = [part for x in found for part in (x.real, x.imag)]
+    x = np.concatenate((*walls, fit.x[fit.problem.layout.curves[-1].stop :]))
     _, jacobian = data_rows(problem, x, fit.correction)
     own, other = jacobian[:, :n], jacobian[:, n:]
     if other.shape[1]:
