@@ -11,7 +11,7 @@ import soundfile
 from roomfit.base.errors import InputError
 from roomfit.files.campaign import read_campaign
 from roomfit.impedance.campaign import (
-    identify_campaign_impedance,
+    impedance_arguments,
     impedance_to_folder,
     read_spectrum,
 )
@@ -152,7 +152,7 @@ def test_recordings_with_unknown_levels_go_from_wav_to_a_verdict(tmp_path):
     text = text.replace('"plaster"', '"wall"').replace('"wool"', '"wall"')
     text += "[impedance]\nfrom_hz = 200\nto_hz = 800\nstep_hz = 20\ntau_s = 0.006\n"
     file.write_text(text + "random_starts = 1\n")
-    answer = identify_campaign_impedance(read_campaign(file))
+    answer = impedance_to_folder(file, tmp_path / "out")
     # the data are of plane waves: by less than 0.05 the spherical model finds another wall
     assert answer.verdict.word == "identified"
     r0 = answer.materials[0].r0
@@ -170,10 +170,11 @@ def spectrum_file(folder, **changed):
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"p": None}, "needs pressures or magnitudes"),
+        ({"p": None}, "lacks an array"),
+        ({"magnitude": np.ones(len(F_HZ))}, "one too many"),
         ({"f": None}, "lacks an array"),
-        ({"p": np.ones(len(F_HZ))}, "without phase"),
-        ({"p": np.full(len(F_HZ), np.nan + 0j)}, "not finite"),
+        ({"p": np.ones(len(F_HZ))}, "complex numbers"),
+        ({"p": np.full(len(F_HZ), np.nan + 0j)}, "a finite number"),
         ({"p": np.zeros(len(F_HZ), complex)}, "0 everywhere"),
         ({"tau": -1.0}, "out of range"),
     ],
@@ -208,7 +209,7 @@ def test_what_a_campaign_may_not_say_is_refused(finished, more, words):
     file = folder / "other.toml"
     file.write_text(campaign_text() + more)
     with pytest.raises(InputError, match=words):
-        identify_campaign_impedance(read_campaign(file))
+        impedance_arguments(read_campaign(file))
 
 
 def test_too_few_pairs_are_reported_before_any_computing(tmp_path):

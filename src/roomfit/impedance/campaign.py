@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.base.air import relative_speed_sd, speed_of_sound_m_s
-from roomfit.base.arguments import check_known
+from roomfit.base.arguments import check_known, check_range
 from roomfit.base.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
@@ -43,29 +43,21 @@ _RESPONSE_GAINS: dict[str | None, GainMode] = {
 _GAINS: dict[str | None, GainMode] = {**_RESPONSE_GAINS, "per-file": "pair", None: "known"}
 
 
-def identify_campaign_impedance(
-    campaign: Campaign, *, progress: Progress | None = None
-) -> ImpedanceResult:
-    """Return the impedance of every material of a campaign's room.
-
-    The same as `impedance_arguments`, then `roomfit.identify_impedance` with the campaign's seed.
-    What is marked for validation is not read.
-    """
-    given, doubts = impedance_arguments(campaign)
-    seed = campaign.settings.seed
-    result = identify_impedance(**given, rng=np.random.default_rng(seed), progress=progress)
-    return replace(result, findings=(*doubts, *result.findings), seed=seed)
-
-
 @sole_writer
 @reading_noted()
 def impedance_to_folder(
     campaign_file: Path, out: Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> ImpedanceResult:
-    """Identify impedances and write result.json, impedance.csv into a folder."""
+    """Identify impedances and write result.json, impedance.csv into a folder.
+
+    What is marked for validation is not read.
+    """
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
-    result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
+    given, doubts = impedance_arguments(campaign)
+    seed, progress = campaign.settings.seed, part(progress, 0.0, 0.95)
+    result = identify_impedance(**given, rng=np.random.default_rng(seed), progress=progress)
+    result = replace(result, findings=(*doubts, *result.findings), seed=seed)
     write_impedance(out, result, files_read(), overwrite=overwrite)
     return result
 
@@ -167,29 +159,24 @@ def read_spectrum(path: Path) -> Observed:
     (``|p|``, not in decibels) stands in place of ``p``.
     """
     arrays = npz_arrays(read_bytes(Path(path), "spectrum"), str(path))
-    names, has_phase = ", ".join(sorted(arrays)) or "nothing", "p" in arrays
-
-    def refuse(what: str, found: str, needed: str, hint: str) -> InputError:
-        return InputError(what, where=str(path), found=found, needed=needed, hint=hint)
-
-    if has_phase == ("magnitude" in arrays):
-        what, hint = "a spectrum needs pressures or magnitudes", "store one of the two"
-        raise refuse(what, names, "p (complex), or magnitude", hint)
-    for name, meaning in (("f", "f (Hz)"), ("tau", "tau (s), the window's time constant")):
-        if name not in arrays:
-            hint = "store it in the file, with numpy.savez(file, f=..., tau=...)"
-            raise refuse("a spectrum lacks an array", names, meaning, hint)
-    for name in {"f", "tau", "noise", "magnitude"} & arrays.keys():
-        if arrays[name].dtype.kind not in "iuf":
-            found, hint = f"an array of type {arrays[name].dtype}", f"store {name}.astype(float)"
-            raise refuse(f"{name} holds no real numbers", found, "integers or floats", hint)
+    has_phase = "p" in arrays
+    if has_phase == ("magnitude" in arrays) or not {"f", "tau"} <= arrays.keys():
+        what, found = "a spectrum lacks an array, or has one too many", ", ".join(sorted(arrays))
+        needed = "f (Hz), tau (s), and either p (complex) or magnitude"
+        hint = "store them by numpy.savez(file, f=..., tau=..., p=...)"
+        raise InputError(what, where=str(path), found=found or "none", needed=needed, hint=hint)
+    for name in ("p", "magnitude", "f", "tau", "noise"):
+        kind = arrays[name].dtype.kind if name in arrays else ""
+        if kind not in ("c" if name == "p" else "iuf"):
+            what, found = f"{name} has numbers of another kind", f"type {arrays[name].dtype}"
+            needed = "complex numbers" if name == "p" else "real numbers"
+            hint = f"store {name}.astype(float); p without phase as magnitude"
+            raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
     if np.size(arrays["tau"]) != 1:
-        found, hint = f"{np.shape(arrays['tau'])}", "store one spectrum a file, each with its tau"
-        raise refuse("tau is not one number", found, "one number (s)", hint)
-    pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
-    if has_phase and pressure.dtype.kind != "c":
-        found, needed = f"an array of type {pressure.dtype}", "p of complex numbers, or magnitude"
-        raise refuse("pressures without phase", found, needed, "store them as magnitude")
+        what, found = "tau is not one number", f"{np.shape(arrays['tau'])}"
+        hint = "store one spectrum a file, each with its tau"
+        raise InputError(what, where=str(path), found=found, needed="one number (s)", hint=hint)
+    pressure = arrays["p" if has_phase else "magnitude"]
     noise = arrays.get("noise")
     if noise is not None:
         noise = np.reshape(noise, (1, -1))
@@ -209,18 +196,9 @@ def _grid(
     table, where = campaign.impedance, f"{campaign.path}, impedance"
     low, high, step = table.from_hz, table.to_hz, table.step_hz
     if not read:
-        if low >= high:
-            found = f"from_hz = {low:g}, to_hz = {high:g}"
-            what, needed = "the lowest frequency lies above the highest", "from_hz below to_hz"
-            raise InputError(what, where=where, found=found, needed=needed, hint="exchange them")
-        if (high - low) / step > _MOST_FREQUENCIES:
-            raise InputError(
-                "more frequencies than can be fitted",
-                where=f"{where}.step_hz",
-                found=f"{(high - low) / step:.0f}, every {step:g} Hz from {low:g} to {high:g} Hz",
-                needed=f"at most {_MOST_FREQUENCIES}",
-                hint="finer than 1/(2 pi tau_s) adds no information",
-            )
+        check_range("from_hz", low, 0.0, high, "Hz", where)
+        n, what = (high - low) / step, f"the number of frequencies, one every {step:g} Hz,"
+        check_range(what, n, 0.0, _MOST_FREQUENCIES, where=f"{where}.step_hz")
         return np.arange(low, high + 0.5 * step, step), table.tau_s
     first = read[0]
     for file, other in zip(spectra[1:], read[1:], strict=True):

@@ -51,21 +51,15 @@ class Observed:
         f = float_array("frequencies (Hz)", self.frequency_hz, (None,), low=1.0, high=1e5)
         check_range("the time constant of the exponential window", self.tau_s, 1e-4, 10.0, "s")
         p = np.array(self.pressure, dtype=np.complex128)
-        largest = float(np.abs(p).max(initial=0.0))
-        for what, is_wrong, found, needed, hint in (
-            ("frequencies are out of order", not f.size or np.any(np.diff(f) <= 0.0), str(f),
-             "each above the one before, at least one", "sort them, and the pressures with them"),
-            ("pressures and frequencies disagree", p.ndim != 2 or p.shape[-1:] != f.shape,
-             f"pressures of shape {p.shape}", f"shape (pairs, {len(f)})", "one row a pair"),
-            ("pressures are not finite everywhere", not np.isfinite(p).all(), "nan or infinity",
-             "finite numbers", "leave out this frequency in every pair"),
-            ("sound pressure exceeds the largest plausible value", not largest <= _LOUDEST,
-             f"{largest:.3g}", f"at most {_LOUDEST:g} in whatever unit", "divide all alike"),
-            ("pressures are 0 everywhere", largest == 0.0, "0 of all pairs", "what was measured",
-             "look whether the channel that was recorded is the microphone"),
-        ):  # fmt: skip
-            if is_wrong:
-                raise InputError(what, found=found, needed=needed, hint=hint)
+        size = float_array("the size of a pressure", np.abs(p), (None, f.size), high=_LOUDEST)
+        if not f.size or np.any(np.diff(f) <= 0.0):
+            what, needed = "frequencies are out of order", "each above the one before"
+            hint = "sort them, and the pressures with them"
+            raise InputError(what, found=str(f), needed=needed, hint=hint)
+        if not size.any():
+            what, needed = "pressures are 0 everywhere", "what was measured"
+            hint = "look whether the channel that was recorded is the microphone"
+            raise InputError(what, found="0 of all pairs", needed=needed, hint=hint)
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "pressure", read_only(p))
         if self.noise is not None:

@@ -117,7 +117,7 @@ class CausalCurve:
            Soc. 38, 713-717 (1932).
     """
 
-    kind: str  # "spline"
+    kind: ClassVar[str] = "spline"
     kernel: ComplexArray  # (n_frequencies, n_points): admittance by the density at each point
     density: FloatArray  # (n_points, n_coefficients), the spline of its logarithm
     log_coefficients: FloatArray  # (n_coefficients,), logarithm of v over the middle of the band
@@ -198,7 +198,6 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
     # where a spline's coefficients are those of a straight line
     at = np.array([t[i + 1 : i + 4].mean() for i in range(density.shape[1])])
     return CausalCurve(
-        "spline",
         np.asarray(2.0 / np.pi * kernel, dtype=np.complex128),
         density,
         at - 0.5 * math.log(low * high),

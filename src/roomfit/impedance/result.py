@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from roomfit.base import whole_files
-from roomfit.base.arguments import read_only
 from roomfit.base.findings import Finding
 from roomfit.base.table import Column, Table, Value, csv_of
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
@@ -54,8 +53,7 @@ class Estimate(NamedTuple):
     prior_sd: float  # in the same unit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MaterialImpedance:
+class MaterialImpedance(NamedTuple):
     """What was found of one material, over frequency.
 
     Arrays have the shape (n_frequencies,). Every pair of `_lower95` and `_upper95` is a 95 %
@@ -82,12 +80,6 @@ class MaterialImpedance:
     impedance_upper95: ComplexArray
     impedance_shown: BoolArray  # where the interval of Z is no wider than a fifth of its size
     identified: BoolArray  # where those of real and imaginary part of R0 are no wider than 0.2
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if isinstance(value, np.ndarray):
-                read_only(value)
 
     def columns(self) -> dict[str, FloatArray]:
         """Return all quantities in real numbers by their names in result.json and impedance.csv."""

@@ -60,15 +60,12 @@ _WHOLE = 7.0
 _SHORT = 4.0
 
 
-def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -> None:
-    """Refuse a model whose paths are too many to be weighed, or to be found, within minutes.
-
-    `lengths`: longest path in units of the speed of sound times `tau_s`.
-    """
+def check_cost(scene: Scene, n_frequencies: int, tau_s: float) -> None:
+    """Refuse a model whose paths are too many to be weighed, or to be found, within minutes."""
     mesh, n_triangles = scene.room.mesh, len(scene.room.mesh.triangles)
 
     def reflections(window_s: float) -> float:
-        length_m = lengths * window_s * speed_of_sound_m_s(scene.air)
+        length_m = _WHOLE * window_s * speed_of_sound_m_s(scene.air)
         # paths that long, and three quarters of it on average
         hits = 1.0 + 0.75 * length_m / abs(mean_free_path_m(mesh))
         images = expected_images(abs(volume_m3(mesh)), length_m)
@@ -80,11 +77,10 @@ def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -
             affordable_s *= (MOST_REFLECTIONS / reflections(affordable_s)) ** 0.25
     elif n_triangles > _FEW_TRIANGLES:
         work = MOST_WORK / max(len(np.unique(scene.pairs[:, 0])), 1)
-        duration_s = affordable_duration_s(scene, lengths * tau_s, work=work, images=1e6)
-        # what is asked for comes back as it is, up to rounding
-        affordable_s = tau_s if duration_s >= 0.999 * lengths * tau_s else duration_s / lengths
+        affordable_s = affordable_duration_s(scene, _WHOLE * tau_s, work=work, images=1e6) / _WHOLE
         found = f"a room of {n_triangles} triangles"
-    if affordable_s < tau_s:
+    # what is asked for comes back as it is, up to rounding
+    if affordable_s < 0.999 * tau_s:
         what = "the exponential window lets more reflections through than can be weighed in minutes"
         found = f"tau = {1000.0 * tau_s:g} ms, {found}"
         needed = f"tau of at most {math.floor(affordable_s * 1e4) / 10.0:g} ms here"
@@ -125,7 +121,7 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
         what, found = "a source stands where a receiver is", "less than a micrometre apart"
         hint = "correct one of the two positions"
         raise InputError(what, where=where, found=found, needed="two places", hint=hint)
-    parts: list[UnfoldedPaths | None] = [None] * len(scene.pairs)
+    parts: dict[int, tuple[FloatArray | IntArray, ...]] = {}
     if scene.room.shoebox_m is not None:
         for i, (s, r) in enumerate(scene.pairs):
             ends = scene.sources[s].position_m, scene.receivers[r].position_m
@@ -138,23 +134,21 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
             own = np.flatnonzero(scene.pairs[:, 0] == source)
             for i, one in zip(own.tolist(), images, strict=True):
                 parts[i] = _paths_of_images(scene.room, one)
-    whole = [p for p in parts if p is not None]
-    bounces = np.concatenate([np.diff(p.bounce_first) for p in whole])
-    return UnfoldedPaths(
-        np.concatenate(([0], np.cumsum([len(p.vector_m) for p in whole]))),
-        np.concatenate([p.vector_m for p in whole]),
-        np.concatenate([p.image_transform for p in whole]),
-        np.concatenate(([0], np.cumsum(bounces))),
-        np.concatenate([p.material for p in whole]),
-        np.concatenate([p.normal for p in whole]),
-        np.concatenate([p.hits for p in whole]),
-    )
+    whole = [parts[i] for i in range(len(scene.pairs))]
+    columns = [np.concatenate(column) for column in zip(*whole, strict=True)]
+    vector_m, image_transform, bounces, *of_bounces = columns
+    pair_first = np.append(0, np.cumsum([len(part[0]) for part in whole]))
+    bounce_first = np.append(0, np.cumsum(bounces))
+    return UnfoldedPaths(pair_first, vector_m, image_transform, bounce_first, *of_bounces)
 
 
 def _box_paths(
     room: Room, source_m: FloatArray, receiver_m: FloatArray, longest_m: float
-) -> UnfoldedPaths:
-    """Return the paths of one pair, in which hits on one wall, all at one angle, are one bounce."""
+) -> tuple[FloatArray | IntArray, ...]:
+    """Return the paths of one pair: vectors, transforms, numbers of bounces, and what is of these.
+
+    Hits on one wall, all at one angle, are one bounce.
+    """
     lengths = np.array(room.shoebox_m, dtype=np.float64)
     index, vector = images_within(lengths, source_m, receiver_m, _ANY_ORDER, longest_m)
     near = np.argsort(np.linalg.norm(vector, axis=1), kind="stable")
@@ -163,32 +157,21 @@ def _box_paths(
     hits = np.column_stack([wall_hits(index, wall) for wall in range(6)])
     path, wall = np.nonzero(hits)
     bounces = np.bincount(path, minlength=len(vector))
-    return UnfoldedPaths(
-        np.array([0, len(vector)]),
-        vector,
-        np.asarray(turned[:, :, None] * np.eye(3)),
-        np.concatenate(([0], np.cumsum(bounces))),
-        np.asarray(room.surface_material[wall], dtype=np.int64),
-        np.eye(3)[wall // 2],
-        hits[path, wall].astype(np.int64),
-    )
+    material, struck = room.surface_material[wall].astype(np.int64), hits[path, wall]
+    transform = turned[:, :, None] * np.eye(3)
+    return vector, transform, bounces, material, np.eye(3)[wall // 2], struck.astype(np.int64)
 
 
-def _paths_of_images(room: Room, images: ImageSet) -> UnfoldedPaths:
+def _paths_of_images(room: Room, images: ImageSet) -> tuple[FloatArray | IntArray, ...]:
+    """Return the paths of one pair as `_box_paths` does, each hit a bounce."""
     first, triangle, transform = images.first_hit, images.triangle, images.image_transform
     if first is None or triangle is None or transform is None:
         raise ValueError("images without their hits or image transforms")
     vectors = area_vectors_m2(room.mesh)[triangle]
     normals = unfolded_normals(vectors / np.linalg.norm(vectors, axis=1)[:, None], first)
-    return UnfoldedPaths(
-        np.array([0, len(transform)]),
-        images.length_m[:, None] * images.arrival,
-        transform,
-        np.asarray(first, dtype=np.int64),
-        np.asarray(triangle_material(room)[triangle], dtype=np.int64),
-        normals,
-        np.ones(len(normals), dtype=np.int64),
-    )
+    material = triangle_material(room)[triangle].astype(np.int64)
+    vector = images.length_m[:, None] * images.arrival
+    return vector, transform, np.diff(first), material, normals, np.ones(len(normals), np.int64)
 
 
 GainMode = Literal["known", "common", "source", "pair", "spectrum", "pair-spectrum"]
@@ -244,7 +227,7 @@ class WaveModel(NamedTuple):
 
 def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveModel:
     """Return the model of a scene behind an exponential window."""
-    check_cost(scene, len(frequency_hz), tau_s, _WHOLE)
+    check_cost(scene, len(frequency_hz), tau_s)
     f, speed = np.asarray(frequency_hz, dtype=np.float64), speed_of_sound_m_s(scene.air)
     paths = unfolded_paths(scene, _WHOLE * speed * tau_s)
     far = np.linalg.norm(paths.vector_m, axis=1) > _SHORT * speed * tau_s
