@@ -11,6 +11,7 @@ from scipy.special import wofz
 from impedance_cases import exact, nearest
 from roomfit.base.air import Air
 from roomfit.impedance.data import Observed, complex_frequency_hz, deviation
+from roomfit.impedance.fit import Problem, data_rows, prior_rows, start_of
 from roomfit.impedance.laws import (
     WallModel,
     absorption_random,
@@ -19,7 +20,6 @@ from roomfit.impedance.laws import (
     r0_of_impedance,
     spline,
 )
-from roomfit.impedance.problem import Problem, data_rows, prior_rows, start_of
 from roomfit.impedance.wave_model import (
     Nuisances,
     State,

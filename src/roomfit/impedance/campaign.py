@@ -252,7 +252,6 @@ def _nuisances(
     # a spectrum for each source and frequency holds any delay of the source
     known = gain in ("spectrum", "pair-spectrum") and not own
     return Nuisances(
-        position_sd_m=0.0 if table.positions == "fixed" else usual.position_sd_m,
         speed_sd=speed_sd,
         gain=gain,
         delay_sd_s=0.0 if known else max(delays, default=0.0),

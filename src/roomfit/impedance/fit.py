@@ -1,33 +1,307 @@
-"""From measured pressures to reflection coefficients: continuation in smoothness, then rounds.
+"""From measured pressures to reflection coefficients: least squares, continuation, rounds.
+
+Unknown gains of sources at each frequency are eliminated by variable projection [1]_ with
+Kaufman's derivative [2]_.
 
 Several starts each lead to a first minimum at few frequencies, in which R0 begins nearly constant
 over frequency and is allowed to vary step by step. The lowest is polished: steps weigh short paths
 with plane waves at the walls; the difference to all paths with spherical waves is computed between
 them and fixed, round after round, until nothing moves. How rough each material may be follows from
 its own marginal likelihood, so that a smooth wall takes no roughness from a resonator.
+
+References
+----------
+.. [1] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares
+       problems whose variables separate", SIAM J. Numer. Anal. 10, 413-432 (1973).
+.. [2] L. Kaufman, "A variable projection method for solving separable nonlinear least squares
+       problems", BIT 15, 49-57 (1975).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from roomfit.base.typing import ComplexArray, FloatArray, Progress
-from roomfit.impedance.data import Observed, deviation
-from roomfit.impedance.problem import (
-    Problem,
-    Rows,
-    data_rows,
-    prior_rows,
-    r0_of,
-    start_of,
-    state_of,
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray, Progress
+from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz, deviation
+from roomfit.impedance.laws import Curve
+from roomfit.impedance.wave_model import (
+    Gradients,
+    Nuisances,
+    State,
+    WaveModel,
+    at_frequencies,
+    at_rest,
+    gradients,
+    predicted_pressure,
 )
-from roomfit.impedance.wave_model import at_frequencies, predicted_pressure
+from roomfit.room.scene import Point
 from roomfit.solver import Ending, MarquardtSettings, Minimum, levenberg_marquardt
+
+
+class Moves(NamedTuple):
+    """Coordinates of sources, or of receivers, that may move."""
+
+    point: IntArray  # (n,)
+    axis: IntArray  # (n,), 0 to 2
+    sd_m: FloatArray  # (n,)
+    place: slice  # in the vector of all unknowns
+
+
+class Label(NamedTuple):
+    """What an unknown of the measurement is, and how large one unit of it."""
+
+    name: str  # such as "x of LS1" or "speed of sound"
+    unit: str
+    scale: float
+    prior_sd: float = 1.0  # in units of its own
+
+
+class Layout(NamedTuple):
+    """Position of each unknown in the vector of all: of the curves first, then of the measurement.
+
+    Shifts, speed and delays are in units of their prior standard deviations; gains are logarithms
+    of each magnitude, and phases.
+    """
+
+    curves: tuple[slice, ...]  # one a material
+    source: Moves
+    receiver: Moves
+    speed: slice
+    factor: slice  # gains and delays
+    exponent: ComplexArray  # (n_pairs, n_frequencies, n), of a pressure's factor by each of these
+    labels: tuple[Label, ...]  # of all unknowns behind the curves
+    size: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is known of a measurement, and what is to be found."""
+
+    model: WaveModel
+    observed: Observed
+    sd: FloatArray  # (n_pairs, n_frequencies), see `roomfit.impedance.data.deviation`
+    curves: tuple[Curve, ...]  # one a material
+    nuisances: Nuisances
+    spherical: bool = True
+    model_error: float = MODEL_ERROR  # with which `sd` was made
+    layout: Layout = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layout", layout_of(self))
+
+
+def layout_of(problem: Problem) -> Layout:
+    """Return the unknowns of curves and of what may be wrong about a measurement."""
+    scene, nuisances, labels = problem.model.scene, problem.nuisances, list[Label]()
+    at = 0
+
+    def take(n: int) -> slice:
+        nonlocal at
+        at += n
+        return slice(at - n, at)
+
+    def moves(points: tuple[Point, ...], used: IntArray) -> Moves:
+        specified = [p.position_sd_m for p in points]
+        sd = np.array([nuisances.position_sd_m if s is None else s for s in specified])
+        moving = np.array([i for i in np.unique(used) if sd[i] > 0.0], dtype=np.int64)
+        for i in moving:
+            labels.extend(Label(f"{axis} of {points[i].name}", "m", float(sd[i])) for axis in "xyz")
+        axes = np.tile(np.arange(3), len(moving))
+        return Moves(np.repeat(moving, 3), axes, np.repeat(sd[moving], 3), take(len(axes)))
+
+    curves = tuple(take(len(c.start)) for c in problem.curves)
+    source = moves(scene.sources, scene.pairs[:, 0])
+    receiver = moves(scene.receivers, scene.pairs[:, 1])
+    if nuisances.speed_sd > 0.0:
+        labels.append(Label("speed of sound", "m/s", nuisances.speed_sd * problem.model.speed_m_s))
+    speed = take(1 if nuisances.speed_sd > 0.0 else 0)
+    factors, exponent = _factors(problem)
+    factor = take(len(factors))
+    return Layout(curves, source, receiver, speed, factor, exponent, (*labels, *factors), at)
+
+
+# Standard deviations of the logarithm of an unknown gain: 20 dB, and any phase.
+_GAIN_SD, _PHASE_SD = 2.3, 10.0
+
+
+def _factors(problem: Problem) -> tuple[list[Label], ComplexArray]:
+    """Return unknown gains and delays, and the logarithm of a pressure by each, see `Layout`."""
+    scene, nuisances = problem.model.scene, problem.nuisances
+    pairs, f = scene.pairs, complex_frequency_hz(problem.observed)
+    groups = {
+        "common": np.ones((len(pairs), 1)),
+        "source": np.eye(len(pairs))[source_number(pairs)][:, : len(np.unique(pairs[:, 0]))],
+        "pair": np.eye(len(pairs)),
+    }
+    by_pair = nuisances.gain in ("pair", "pair-spectrum")
+    gain = groups.get("pair" if by_pair else nuisances.gain, np.zeros((len(pairs), 0)))
+    labels = list[Label]()
+    for n in range(1, gain.shape[1] + 1):
+        labels.append(Label(f"gain {n}", "dB", 20.0 / np.log(10.0), _GAIN_SD))
+        labels.append(Label(f"phase of gain {n}", "rad", 1.0, _PHASE_SD))
+    both = np.stack((gain, 1j * gain), axis=2).reshape(len(pairs), 1, -1)
+    parts = [np.asarray(both * np.ones((len(f), 1)), dtype=np.complex128)]
+    if nuisances.delay_sd_s > 0.0:
+        delay = groups[nuisances.delay]
+        parts.append(-2j * np.pi * nuisances.delay_sd_s * delay[:, None] * f[:, None])
+        for source, receiver in pairs[delay.argmax(axis=0)]:
+            name = f"delay of {scene.sources[source].name}"
+            if nuisances.delay == "pair":
+                name += f" to {scene.receivers[receiver].name}"
+            labels.append(Label(name, "s", nuisances.delay_sd_s))
+    return labels, np.concatenate(parts, axis=2)
+
+
+def start_of(problem: Problem) -> FloatArray:
+    """Return the unknowns with which a fit starts, shape (n_unknowns,)."""
+    x = np.zeros(problem.layout.size)
+    for place, curve in zip(problem.layout.curves, problem.curves, strict=True):
+        x[place] = curve.start
+    return x
+
+
+def r0_of(problem: Problem, x: FloatArray) -> ComplexArray:
+    """Return R0 of every material, shape (n_materials, n_frequencies)."""
+    return np.array(
+        [
+            c.values(x[place])[0]
+            for c, place in zip(problem.curves, problem.layout.curves, strict=True)
+        ]
+    )
+
+
+def state_of(problem: Problem, x: FloatArray) -> State:
+    """Return the shifts of sources and receivers and the change of the speed of sound."""
+    layout, (source, receiver, _) = problem.layout, at_rest(problem.model)
+    for shift, own in ((source, layout.source), (receiver, layout.receiver)):
+        shift[own.point, own.axis] = x[own.place] * own.sd_m
+    return State(source, receiver, float(np.sum(x[layout.speed])) * problem.nuisances.speed_sd)
+
+
+def factor_of(problem: Problem, x: FloatArray) -> ComplexArray:
+    """Return gain and delay as one factor, shape (n_pairs, n_frequencies)."""
+    return np.asarray(np.exp(problem.layout.exponent @ x[problem.layout.factor]))
+
+
+def source_number(pairs: IntArray) -> IntArray:
+    """Return the number of each pair's source among those that are used."""
+    return np.asarray(np.unique(pairs[:, 0], return_inverse=True)[1])
+
+
+Rows: TypeAlias = tuple[FloatArray, FloatArray]
+"""Weighted residuals of measured minus predicted, (n_rows,), and derivatives, (n_rows, n)."""
+
+
+def data_rows(problem: Problem, x: FloatArray, correction: ComplexArray) -> Rows:
+    """Return the residuals of the pressures in units of their standard deviation.
+
+    Real parts first, then imaginary ones (levels: one row each). `correction`, of shape (n_pairs,
+    n_frequencies), is added to the pressures of the short paths and fixed.
+    """
+    observed = problem.observed
+    g = gradients(problem.model, r0_of(problem, x), state_of(problem, x))
+    g = g._replace(pressure=g.pressure + correction)
+    factor = factor_of(problem, x)
+    weight = math.sqrt(2.0) / problem.sd
+    predicted, slope = factor * g.pressure, factor[:, :, None] * _slopes(problem, x, g)
+    if not observed.has_phase:
+        size = np.abs(predicted)
+        by = np.real(np.conj(predicted / size)[:, :, None] * slope)
+        rows = weight * (np.abs(observed.pressure) - size)
+        return rows.ravel(), -(weight[:, :, None] * by).reshape(rows.size, -1)
+    model, turned = weight * predicted, weight[:, :, None] * slope
+    missing = weight * observed.pressure
+    if problem.nuisances.free_spectra:
+        gain = _of_source(problem, model, missing[:, :, None])
+        missing = missing - model * gain[:, :, 0]
+        turned = turned * gain
+        turned = turned - model[:, :, None] * _of_source(problem, model, turned)
+    else:
+        missing = missing - model
+    by_all = turned.reshape(missing.size, -1)
+    residual = np.concatenate([missing.real.ravel(), missing.imag.ravel()])
+    return residual, -np.vstack([by_all.real, by_all.imag])
+
+
+def _of_source(problem: Problem, model: ComplexArray, values: ComplexArray) -> ComplexArray:
+    """Return the complex gains by which a model comes nearest to values, one a source.
+
+    Shapes: model (n_pairs, n_frequencies); values and result (n_pairs, n_frequencies, n).
+    """
+    owner = source_number(problem.model.scene.pairs)
+    found = np.empty_like(values)
+    for source in range(owner.max() + 1):
+        own = np.flatnonzero(owner == source)
+        along = np.einsum("pf,pfn->fn", np.conj(model[own]), values[own])
+        found[own] = along / np.sum(np.abs(model[own]) ** 2, axis=0)[:, None]
+    return found
+
+
+def source_spectra(problem: Problem, predicted: ComplexArray) -> ComplexArray:
+    """Return the best complex gain of each pair's source, shape (n_pairs, n_frequencies)."""
+    measured = problem.observed.pressure / problem.sd
+    gains = _of_source(problem, predicted / problem.sd, measured[:, :, None])
+    return np.asarray(gains[:, :, 0])
+
+
+def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
+    """Return the derivative of the pressure by every unknown, (n_pairs, n_frequencies, n)."""
+    pairs, layout = problem.model.scene.pairs, problem.layout
+    slope = np.zeros((*g.pressure.shape, layout.size), dtype=np.complex128)
+    for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
+        slope[:, :, place] = g.by_r0[:, i, :, None] * curve.values(x[place])[1]
+    for moves, column, by in (
+        (layout.source, pairs[:, 0], g.by_source),
+        (layout.receiver, pairs[:, 1], g.by_receiver),
+    ):
+        for n, (point, axis, sd) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
+            own = np.flatnonzero(column == point)
+            slope[own, :, n] = by[own, axis] * sd
+    if layout.speed.stop > layout.speed.start:
+        slope[:, :, layout.speed.start] = g.by_speed * problem.nuisances.speed_sd
+    slope[:, :, layout.factor] = g.pressure[:, :, None] * layout.exponent
+    return slope
+
+
+# |R0| above 1 weighs like a residual of its excess over this.
+_PASSIVE_WITHIN = 1e-3
+
+
+def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Rows:
+    """Return the priors of the unknowns as residuals of unit variance.
+
+    `roughness_sd`, shape (n_materials,): standard deviation of the second difference of a curve's
+    coefficients.
+    """
+    layout = problem.layout
+    blocks: list[tuple[slice, FloatArray, FloatArray]] = []  # where, rows and residuals
+    for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
+        own = curve.roughness / roughness_sd[i]
+        blocks.append((place, own, own @ x[place]))
+        if math.isfinite(curve.prior_sd):
+            eye = np.eye(len(curve.start)) / curve.prior_sd
+            blocks.append((place, eye, eye @ (x[place] - curve.start)))
+        r0, slope = curve.values(x[place])
+        if curve.kind == "constant":
+            r0, slope = r0[:1], slope[:1]
+        size = np.abs(r0)
+        over = size > 1.0
+        by = np.real(np.conj(r0[over] / size[over])[:, None] * slope[over])
+        blocks.append((place, by / _PASSIVE_WITHIN, (size[over] - 1.0) / _PASSIVE_WITHIN))
+    weight = np.array([1.0 / label.prior_sd for label in layout.labels])
+    behind = slice(layout.size - len(weight), layout.size)
+    blocks.append((behind, np.diag(weight), weight * x[behind]))
+    rows = np.zeros((sum(len(own) for _, own, _ in blocks), layout.size))
+    at = 0
+    for place, own, _ in blocks:
+        rows[at : at + len(own), place] = own
+        at += len(own)
+    return np.concatenate([value for *_, value in blocks]), rows
+
 
 # A step that lowers the cost by less than a share of it is the last one.
 _SETTINGS = MarquardtSettings(

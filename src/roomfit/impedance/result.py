@@ -258,7 +258,6 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
         "tau_s": result.tau_s,
         "materials": {
             m.name: {
-                "frequency_hz": result.frequency_hz,
                 "model": m.kind,
                 **{name: numbers_or_null(values) for name, values in m.columns().items()},
                 "identified": [bool(b) for b in m.identified],
