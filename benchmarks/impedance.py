@@ -24,11 +24,10 @@ from roomfit.fit.simplex import (
     random_simplex,
 )
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish
+from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish, start_of
+from roomfit.impedance.fit import r0_of as r0_matrix
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
 from roomfit.impedance.laws import absorption_normal, impedance_of_r0, r0_of_impedance
-from roomfit.impedance.fit import r0_of as r0_matrix
-from roomfit.impedance.fit import start_of
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import (
     Nuisances,
