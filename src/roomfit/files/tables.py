@@ -10,11 +10,12 @@ import io
 import math
 import re
 import tomllib
+import unicodedata
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from itertools import zip_longest
+from itertools import accumulate, zip_longest
 from pathlib import Path
 from string import digits
 from typing import Any, NamedTuple
@@ -263,7 +264,8 @@ def quantity_in(label: str, *, in_title: bool = False) -> tuple[str, str]:
     "" where it names none, or several; "other", "label": see ``words.toml``.
     """
     pattern = words_of("quantity")
-    text = words_of("seconds").sub(" ", label.replace("±", " ± "))
+    plain = unicodedata.normalize("NFKC", label)  # T\u2083\u2080 is T30
+    text = words_of("seconds").sub(" ", plain.replace("±", " ± "))
     found = {str(m.lastgroup) for m in pattern.finditer(text)}
     named = found - {"other", "label"}
     signs = {"other": " "} | dict.fromkeys(named, " … ")
@@ -378,7 +380,8 @@ def _of_row(row: Row, heading: _Bands, section: tuple[str, str], sheet: Sheet) -
         n = f"{len(cells) - len(naming)}"
         raise InputError(what, where=row.where, found=n, needed=needed, hint=hint)
     names = tuple(cells[i] for i in naming) or ("",)
-    unit = stated_unit((n for n in names if not is_word("unit", n)), SECONDS) or section[1]
+    stating = [c for c in cells if c in SECONDS] or [n for n in names if not is_word("unit", n)]
+    unit = stated_unit(stating, SECONDS) or section[1]
     own, rest = quantity_in(" | ".join(filter(None, names)))
     of = " ".join(filter(None, (names[-1], *names[:-1])))
     columns: dict[str, dict[float, tuple[str, str]]] = {}
@@ -489,7 +492,11 @@ def _head_of(n: int, above: list[Row], sheet: Sheet) -> list[str]:
         for cells in (row.cells, *ways):
             is_same = len(cells) == n or (sheet.separator.strip() and 1 < len(cells) < n)
             if is_same and not any(sheet.number(c) for c in cells if c):
+                groups = [*above[at - 1].cells, *[""] * n] if at else []
                 del above[at:]  # not a title
+                if len([c for c in groups if quantity_in(c)[0]]) > 1:  # of columns below each
+                    filled: Iterable[str] = accumulate(groups, lambda last, own: own or last)
+                    cells = [f"{g} {c}".strip() for g, c in zip(filled, cells, strict=False)]
                 return [f"{c} {unit}".strip() for c, unit in zip(cells, units, strict=False)]
     return []
 

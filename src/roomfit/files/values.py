@@ -64,9 +64,10 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
                 raise _refused(above, "whose heading names no x, y, z", hint)
             name, coordinates = _name_and_coordinates(row, columns, len(heading), sheet)
             unit = tables.stated_unit(stated, METRES_PER_UNIT) or "m"
+            own_unit = "".join({*cells[1:]} & {*METRES_PER_UNIT})
             x, y, z = (
-                round(sheet.value(cell, own_unit or unit, METRES_PER_UNIT, row.where), 6)
-                for cell, own_unit in zip(coordinates, units, strict=True)
+                round(sheet.value(cell, own_unit or of or unit, METRES_PER_UNIT, row.where), 6)
+                for cell, of in zip(coordinates, units, strict=True)
             )
             if name in found or not name:
                 raise _refused(row, _UNCLEAR, "give each row a name of its own")
@@ -93,7 +94,7 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
 def _position_columns(row: tables.Row, sheet: tables.Sheet) -> dict[str, int]:
     """Return the columns of "name", "x", "y", "z" where a row is a heading of positions."""
     groups: dict[tuple[str, ...], dict[str, int]] = {}
-    spherical = set()
+    spherical, is_twice = set(), False
     for i, cell in enumerate(row.cells):
         words = [
             tables.words_of("axis").sub(r"\1", word)
@@ -103,11 +104,12 @@ def _position_columns(row: tables.Row, sheet: tables.Sheet) -> dict[str, int]:
         rest = tuple(word for word in words if word not in ("x", "y", "z"))
         if len(words) - len(rest) == 1 and not any(tables.is_word("direction", w) for w in rest):
             axis = next(word for word in words if word not in rest)
-            groups.setdefault(rest, {}).setdefault(axis, i)
+            is_twice = is_twice or axis in groups.setdefault(rest, {})
+            groups[rest][axis] = i
         elif words and tables.is_word("spherical", words[0]):
             spherical.add(cell)
     whole = {rest: at for rest, at in groups.items() if len(at) == 3}
-    if len(whole) > 1 and () not in whole:
+    if (len(whole) > 1 and () not in whole) or (whole and is_twice):
         raise _refused(row, "with several in a row", "write a row for each, its columns x, y, z")
     if not whole and len(spherical) > 1:
         hint = "convert them, and add where their origin lies in the room"
@@ -164,7 +166,9 @@ def _is_beside(row: tables.BandRow, rows: Sequence[tables.BandRow]) -> bool:
     whole = [re.sub(r"(^|\| )…$", r"\1", rest) for rest in others if rest.endswith("…")]
     first, *cells = (cell for cell, _ in row.cells.values())
     is_note = len(cells) > 1 and not any(cells) and len(row.names) == 1 and "…" not in row.rest
-    counts = row.names[-1] in ("n", "N") and all(c.isdecimal() for c in (first, *cells) if c)
+    counts = row.names[-1].rstrip(" =:") in ("n", "N") and all(
+        c.isdecimal() for c in (first, *cells) if c
+    )
     return row.rest.startswith(tuple(whole)) or is_note or counts
 
 

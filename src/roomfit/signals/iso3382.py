@@ -212,7 +212,7 @@ POSSIBLE: dict[ValueName, tuple[float, float, str]] = {
     "T30_s": (0.03, 15.0, "s"),
     "C50_dB": (-40.0, 40.0, "dB"),
     "C80_dB": (-40.0, 40.0, "dB"),
-    "D50_percent": (0.0, 100.0, "%"),
+    "D50_percent": (1.0, 100.0, "%"),
     "TS_ms": (0.1, 3000.0, "ms"),
     "G_dB": (-40.0, 45.0, "dB"),
 }
