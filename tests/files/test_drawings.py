@@ -133,6 +133,47 @@ def test_however_a_room_is_drawn_it_is_the_air_inside(tmp_path, shape, kind, suf
     assert surface_area_m2(room.mesh) == pytest.approx(area + more_m2, rel=within)
 
 
+LONG = {
+    "U": [(0, 0), (43, 0), (43, 40), (41, 40), (41, 2), (2, 2), (2, 40), (0, 40)],
+    "L": [(0, 0), (60, 0), (60, 1.5), (1.5, 1.5), (1.5, 60), (0, 60)],
+    "niche at the far end": [(0, 0), (120, 0), (120, 2), (119.5, 2), (119.5, 2.3), (0, 2.3)],
+}
+
+
+@pytest.mark.parametrize("positions", [(), [(0.6, 0.6, 1.2)]])
+@pytest.mark.parametrize("name", LONG)
+def test_a_corridor_is_followed_to_its_ends(tmp_path, name, positions):
+    """By the shoelace formula, wherever the flights begin: at a largest face, or at one end."""
+    x, y = np.transpose(LONG[name])
+    area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    around = np.hypot(x - np.roll(x, -1), y - np.roll(y, -1)).sum()
+    spec = saved(tmp_path, some_turned(prism(LONG[name], 0.0, 2.5, "room")), ".obj")
+    room, findings = read_room(spec, positions)
+    assert volume_m3(room.mesh) == pytest.approx(2.5 * area, rel=1e-9)
+    assert surface_area_m2(room.mesh) == pytest.approx(2 * area + 2.5 * around, rel=1e-9)
+    assert {f.code for f in findings} == {Code.AIR_REACHED}
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.3])
+def test_a_wall_of_one_sheet_across_faces_that_go_on_behind_it_makes_two_rooms(tmp_path, beyond):
+    """9 m x 5 m x 3 m at x = 4 m, ending at floor, walls and ceiling, or beyond them."""
+    y, z = (-beyond, 5 + beyond), (-beyond, 3 + beyond)
+    sheet = [(4, y[0], z[0]), (4, y[1], z[0]), (4, y[1], z[1]), (4, y[0], z[1])]
+    polygons = [*prism(rectangle(0, 0, 9, 5), 0.0, 3.0, "room"), ("partition", sheet)]
+    spec = saved(tmp_path, polygons, ".obj")
+    for at_m, volume, area in (
+        ([(1, 1, 1), (2, 4, 1), (8, 2, 1)], 60.0, 94.0),
+        ([(1, 1, 1), (6, 3, 1), (8, 2, 1)], 75.0, 110.0),
+        ([], 75.0, 110.0),
+    ):
+        room, findings = read_room(spec, at_m)
+        found = volume_m3(room.mesh), surface_area_m2(room.mesh)
+        assert found == pytest.approx((volume, area), rel=1e-6)
+        (said,) = (f for f in findings if f.code is Code.SEVERAL_SPACES)
+        assert (said.severity, said.evidence["n_spaces"]) == ("warning", 2)
+        assert ("with 2 of 3" in said.sentence) == ("with 1 of 3" in said.sentence) == bool(at_m)
+
+
 @pytest.mark.parametrize("shape", PLANS)
 def test_a_missing_wall_is_a_leak_of_its_size_and_bodies_that_cross_are_named(tmp_path, shape):
     """The flights that would end on the wall's 21 and 24.5 m2; two boxes over 8 m2 of one plan."""

@@ -60,8 +60,9 @@ def area_vector_m2(corners_m: FloatArray) -> FloatArray:
 
     `corners_m` has the shape (n_corners, 3).
     """
-    from_first = corners_m - corners_m[0]
-    return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
+    x, y, z = from_first = (corners_m - corners_m[0]).T
+    u, v, w = np.roll(from_first, -1, axis=1)  # numpy's own product takes three times as long
+    return np.asarray(0.5 * np.stack((y * w - z * v, z * u - x * w, x * v - y * u), 1).sum(axis=0))
 
 
 def triangulate(corners_m: FloatArray) -> Triangulation:

@@ -25,7 +25,6 @@ from roomfit.base.findings import Code, Finding, Severity
 from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.polygon import (
     WELD_TOLERANCE_M,
-    area_vector_m2,
     divide,
     halves,
     is_thin,
@@ -34,7 +33,7 @@ from roomfit.base.polygon import (
 )
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.room.build import listed
-from roomfit.room.inside import along, dot, nearest_triangles, row
+from roomfit.room.inside import along, dot, nearest_triangles, put, row
 from roomfit.room.mesh import (
     Mesh,
     about_points,
@@ -63,7 +62,11 @@ _MOST_SPACES = 6
 _MOST_LOST = 0.02  # of a look's hits, for a space that is closed
 _WEAK = 0.02  # of the strikes that a side of its area has: from beyond a gap
 _SAMPLES = 100_000
-_PROBES = 5
+_EACH = 32  # of the points that flights struck, so many stand for all
+_NEAREST = 3  # points in the air, of which one must be in sight
+_PROBES, _MOST_UNSURE = 5, 2000
+_SHARED = 0.1
+_MOST_ROUNDS = 24
 # Share of the area behind openings above which a drawing is no room; a decay takes 100 hits.
 LEAK_LIMIT = 1e-3
 _DISAGREES = 0.02  # volume or area by the faces and by sound, for a room that is refused
@@ -85,7 +88,7 @@ class _Space(NamedTuple):
     """What flights from one place strike."""
 
     sides: IntArray  # (n_struck,)
-    strikes: IntArray  # (n_struck,)
+    hits_m: FloatArray  # (n, 3), before what was struck
     lost: float  # flights that met nothing any more, per strike
     point_m: FloatArray  # (3,), in its air
     volume_m3: float
@@ -120,6 +123,7 @@ def _fly(
     starts_m: FloatArray,
     directions: FloatArray,
     struck: IntArray,
+    hits_m: FloatArray,
     length_m: FloatArray,
 ) -> None:
     """Follow rays until they have been reflected enough or met no wall; for threads."""
@@ -135,27 +139,49 @@ def _fly(
             struck[r, n] = 2 * tree.material[i] + (1 if dot(normal, d) < 0.0 else 0)
             length_m[r] += t
             o = along(o, d, max(t - _BACK_M, 0.5 * t))
+            put(hits_m[r], n, o)
             if n + 1 < struck.shape[1]:
                 d = scattered(d, normal, uniform(key, 2 * n), uniform(key, 2 * n + 1))
 
 
 def _flights(
     faces: _Faces, starts_m: FloatArray, directions: FloatArray, n_hits: int = 1
-) -> tuple[IntArray, FloatArray]:
-    """Return sides struck, (n, n_hits), -1 once a ray is lost, and the length of each, (n,)."""
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return sides struck, (n, n_hits), -1 once a ray is lost, where, and each ray's length, (n,).
+
+    Points are a little before the sides, shape (n, n_hits, 3).
+    """
     struck = np.full((len(starts_m), n_hits), -1, dtype=np.int64)
-    length_m = np.zeros(len(starts_m))
-    in_threads(_fly, len(starts_m), faces.tree, starts_m, directions, struck, length_m)
-    return struck, length_m
+    hits_m, length_m = np.zeros((*struck.shape, 3)), np.zeros(len(starts_m))
+    in_threads(_fly, len(starts_m), faces.tree, starts_m, directions, struck, hits_m, length_m)
+    return struck, hits_m, length_m
 
 
-def _returning(
-    faces: _Faces, bounds: BoolArray, points_m: FloatArray, away: FloatArray
-) -> IntArray:
-    """Return how many of five flights from each point end on sides that bound the air."""
-    aim = _cosine(faces, np.repeat(away, _PROBES, axis=0))
-    struck, _ = _flights(faces, np.repeat(points_m, _PROBES, axis=0), aim)
-    return np.asarray(((struck >= 0) & bounds[struck]).reshape(-1, _PROBES).sum(axis=1))
+def _sees(faces: _Faces, hits_m: FloatArray, points_m: FloatArray) -> BoolArray:
+    """Return from which points the way to one of the nearest points in the air is free."""
+    from scipy.spatial import cKDTree  # heavy, and a box needs none
+
+    _, near = cKDTree(hits_m).query(points_m, _NEAREST, eps=1)
+    starts = np.repeat(points_m, _NEAREST, axis=0)
+    ways = hits_m[np.minimum(near, len(hits_m) - 1).ravel()] - starts
+    far_m = np.linalg.norm(ways, axis=1)
+    struck, _, length_m = _flights(faces, starts, ways / np.maximum(far_m, 1e-12)[:, None])
+    free = (struck[:, 0] < 0) | (length_m >= far_m)
+    return np.asarray(free.reshape(-1, _NEAREST).any(axis=1))
+
+
+def _is_joined(
+    faces: _Faces, hits_m: FloatArray, points_m: FloatArray, away: FloatArray
+) -> BoolArray:
+    """Return from which points before sides sound comes to points in the air, straight or once
+    reflected."""
+    joined = _sees(faces, hits_m, points_m)
+    unsure = faces.rng.permutation(np.flatnonzero(~joined))[:_MOST_UNSURE]
+    starts, away = (np.repeat(x[unsure], _PROBES, axis=0) for x in (points_m, away))
+    struck, ends_m, _ = _flights(faces, starts, _cosine(faces, away))
+    sees = (struck[:, 0] >= 0) & _sees(faces, hits_m, ends_m[:, 0])
+    joined[unsure] = sees.reshape(-1, _PROBES).any(axis=1)
+    return joined
 
 
 def _is_bare(faces: _Faces, sides: IntArray, points_m: FloatArray, away: FloatArray) -> BoolArray:
@@ -181,16 +207,16 @@ def _cosine(faces: _Faces, away: FloatArray) -> FloatArray:
 
 def _look(faces: _Faces, starts_m: FloatArray, directions: FloatArray, n_hits: int) -> _Space:
     """Return the space in which flights from some points stay, or that they leave."""
-    struck, length_m = _flights(faces, starts_m, directions, n_hits)
+    struck, hits_m, length_m = _flights(faces, starts_m, directions, n_hits)
     stays, n_struck = struck[:, -1] >= 0, max(int(np.count_nonzero(struck >= 0)), 1)
     lost = np.count_nonzero(~stays) / n_struck
-    own = struck[stays] if lost <= _MOST_LOST else struck
-    sides, times = np.unique(own[own >= 0], return_counts=True)
+    own = (struck >= 0) & (stays | (lost > _MOST_LOST))[:, None]
+    sides, times = np.unique(struck[own], return_counts=True)
     # sides that were struck once stand for those that were not yet
     covered = 1.0 - min(np.count_nonzero(times == 1) / max(times.sum(), 1), 0.98)
     free_m = float(length_m.sum() / n_struck)
     volume_m3 = float(faces.area_m2[sides // 2].sum() / covered * free_m / 4.0)
-    return _Space(sides, times, lost, starts_m[0], volume_m3, free_m)
+    return _Space(sides, hits_m[own], lost, starts_m[0], volume_m3, free_m)
 
 
 def _spaces(faces: _Faces, positions_m: FloatArray) -> tuple[list[_Space], IntArray]:
@@ -202,9 +228,10 @@ def _spaces(faces: _Faces, positions_m: FloatArray) -> tuple[list[_Space], IntAr
 
     def space_at(at_m: FloatArray, away: FloatArray) -> int:
         starts, ways = np.tile(at_m, (n_rays, 1)), _cosine(faces, np.tile(away, (n_rays, 1)))
-        around = np.bincount(owner[_flights(faces, starts, ways)[0][:, 0]] + 1)
-        if around[1:].sum() > n_rays / 2:
-            return int(np.argmax(around[1:]))
+        struck, hits, _ = _flights(faces, starts, ways)
+        for i in set(owner[struck[:, 0]].tolist()) - {-1}:
+            if _is_within(faces, closed[i], hits[struck[:, 0] >= 0, 0]):
+                return int(i)
         space = _look(faces, starts, ways, n_hits)
         if space.lost > _MOST_LOST:
             leaking[:] = sorted([*leaking, space], key=lambda s: s.lost)[:1]
@@ -224,6 +251,11 @@ def _spaces(faces: _Faces, positions_m: FloatArray) -> tuple[list[_Space], IntAr
     return closed or [space for space in leaking if len(space.sides)], within
 
 
+def _is_within(faces: _Faces, space: _Space, hits_m: FloatArray) -> bool:
+    """Return whether what flights struck stands in the air of a space: hardly any does beyond."""
+    return bool(len(hits_m) and _sees(faces, space.hits_m, hits_m).mean() > _SHARED)
+
+
 def _within_walls(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
     """Return which spaces lie between two shells of walls: about others, and narrower than they."""
     boxes = [faces.corners_m[s.sides // 2].reshape(-1, 3) for s in spaces]
@@ -234,52 +266,29 @@ def _within_walls(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
     return np.asarray(np.any(holds & (free_m > free_m[:, None]), axis=1))
 
 
-def _bounding(faces: _Faces, space: _Space, starts_m: FloatArray) -> BoolArray:
-    """Return which sides bound the air of a space, shape (n_sides,)."""
-    area_m2, starts = np.repeat(faces.area_m2, 2), np.resize(starts_m, (_ALL[0], 3))
-    struck, _ = _flights(faces, starts, _cosine(faces, np.zeros_like(starts)), _ALL[1])
-    stays = struck[:, -1] >= 0
-    own = struck[stays] if space.lost <= _MOST_LOST and stays.any() else struck
-    strikes = np.bincount(own[own >= 0], minlength=len(area_m2))
-    expected = strikes.sum() * area_m2 / max(area_m2[strikes > 0].sum(), 1e-300)
-    bounds = strikes > _WEAK * expected
-    if space.lost > _MOST_LOST:
-        return np.asarray(strikes > 0)
-    for _ in range(4):  # what is too small to be struck, but looks at what was
-        others = np.flatnonzero(~bounds & (expected < 20.0) & (area_m2 > 0.0))
-        points, away = _before(faces, others)
-        bare = _is_bare(faces, others, points, away)
-        sees = _returning(faces, bounds, points[bare], away[bare]) >= _PROBES - 1
-        bounds[others[bare][sees]] = True
-        if not sees.any():
-            break
-    return np.asarray(bounds)
-
-
 class _Sounded(NamedTuple):
     """What flights from points all over some sides say of the room that these bound."""
 
-    volume_m3: float
-    area_m2: float
-    open: float  # share of flights that are lost, or end on other sides
-    lost_m: FloatArray  # (n_lost, 3), where some of these began
-    lost_way: FloatArray  # (n_lost, 3), and their directions
-    hidden_m2: FloatArray  # (n_sides,), within a body or behind another face
+    volume_m3: float = 0.0
+    area_m2: float = 0.0
+    open: float = 1.0  # share of flights that are lost, or end on other sides
+    lost_m: FloatArray = np.zeros((0, 3))  # where these began
+    lost_way: FloatArray = np.zeros((0, 3))  # and their directions
+    lost_on: IntArray = np.zeros(0, dtype=np.int64)  # those other sides
+    hidden_m2: FloatArray = np.zeros(0)  # (n_sides,), within a body or behind another face
 
 
-def _sounded(faces: _Faces, bounds: BoolArray) -> _Sounded:
+def _sounded(faces: _Faces, bounds: BoolArray, hits_m: FloatArray) -> _Sounded:
     own = np.flatnonzero(bounds)
     ends = np.cumsum(faces.area_m2[own // 2])
     shots = (np.arange(_SAMPLES) + faces.rng.random(_SAMPLES)) / _SAMPLES
     side = own[np.minimum(np.searchsorted(ends, shots * ends[-1]), len(own) - 1)]
     points, away = _before(faces, side)
     bare, ways = _is_bare(faces, side, points, away), _cosine(faces, away)
-    struck, length_m = _flights(faces, points, ways)
+    struck, _, length_m = _flights(faces, points, ways)
     returns = (struck[:, 0] >= 0) & bounds[struck[:, 0]]
-    # a few of a point's flights are lost through a gap, most of them where it is in no air
     astray = np.flatnonzero(bare & ~returns)
-    back = _returning(faces, bounds, points[astray], away[astray])
-    bare[astray[back < _PROBES / 2]] = False
+    bare[astray] = _is_joined(faces, hits_m, points[astray], away[astray])
     lost = bare & ~returns
     area_m2 = float(ends[-1])
     hidden = np.bincount(side[~bare], minlength=len(bounds)) * area_m2 / _SAMPLES
@@ -287,8 +296,59 @@ def _sounded(faces: _Faces, bounds: BoolArray) -> _Sounded:
     free_m = float(length_m[bare & returns].mean()) if np.any(bare & returns) else 0.0
     share = np.count_nonzero(lost) / max(int(np.count_nonzero(bare)), 1)
     return _Sounded(
-        max(own_m2 * free_m / 4.0, 1e-9), max(own_m2, 1e-9), share, points[lost], ways[lost], hidden
+        max(own_m2 * free_m / 4.0, 1e-9),
+        max(own_m2, 1e-9),
+        share,
+        points[lost],
+        ways[lost],
+        struck[lost & (struck[:, 0] >= 0), 0],
+        hidden,
     )
+
+
+def _bounding(
+    faces: _Faces, space: _Space, starts_m: FloatArray
+) -> tuple[BoolArray, FloatArray, _Sounded]:
+    """Return which sides bound the air of a space, (n_sides,), points before them, and its sound.
+
+    Where flights from the air end on other sides others follow: a corridor is longer than they are.
+    """
+    area_m2, is_open = np.repeat(faces.area_m2, 2), space.lost > _MOST_LOST
+    bounds, strikes = np.zeros(len(area_m2), dtype=np.bool_), np.zeros(len(area_m2))
+    hits_m, sounded = np.zeros((0, 3)), _Sounded(open=1.0)
+    for _ in range(_MOST_ROUNDS):
+        before = bounds.copy()
+        if sounded.open > LEAK_LIMIT:
+            starts = np.resize(starts_m, (_ALL[0], 3))
+            ways = _cosine(faces, np.zeros_like(starts))
+            struck, points, _ = _flights(faces, starts, ways, _ALL[1])
+            stays = struck[:, -1:] >= 0
+            is_open |= not stays.any()
+            own = (struck >= 0) & (stays | is_open)
+            strikes += np.bincount(struck[own], minlength=len(area_m2))
+            expected = strikes.sum() * area_m2 / max(area_m2[strikes > 0].sum(), 1e-300)
+            bounds |= strikes > (0.0 if is_open else _WEAK * expected)
+            hits_m = np.concatenate((hits_m, points[own & bounds[struck]][::_EACH]))
+        for _ in range(0 if is_open else 4):
+            # what is too small to be struck, but looks at what was
+            small = (expected < 20.0) & (area_m2 > 0.0)
+            small[sounded.lost_on] = True
+            others = np.repeat(np.flatnonzero(small & ~bounds), _PROBES)
+            at_m, away = _before(faces, others)
+            bare = _is_bare(faces, others, at_m, away)
+            others, at_m = others[bare], at_m[bare]
+            joined = _is_joined(faces, hits_m, at_m, away[bare])
+            votes = np.bincount(others, np.where(joined, 1.0, -1.0), len(bounds))
+            joined &= votes[others] > 0.0
+            bounds |= votes > 0.0
+            hits_m = np.concatenate((hits_m, at_m[joined]))
+            if not joined.any():
+                break
+        if np.array_equal(bounds, before):
+            break
+        sounded = _sounded(faces, bounds, hits_m)
+        starts_m = sounded.lost_m
+    return bounds, hits_m, sounded
 
 
 def _bounded(mesh: Mesh, bounds: BoolArray) -> Mesh:
@@ -347,7 +407,7 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
     mostly = sounded.hidden_m2 > 0.5 * np.repeat(faces.area_m2, 2)
     if np.any(bounds & ~mostly) and mostly.any():  # those were reached through a crack
         bounds = bounds & ~mostly
-        sounded = _sounded(faces, bounds)
+        sounded = _sounded(faces, bounds, spaces[0].hits_m)
     room = _bounded(mesh, bounds)
     spaces[0] = spaces[0]._replace(volume_m3=volume_m3(room))
     findings = (
@@ -371,22 +431,24 @@ def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space]
         look._replace(n_positions=int(np.sum(within == i)), is_wall=bool(is_wall[i]))
         for i, look in enumerate(looks)
     ]
-    spaces: list[_Space] = []
+    found: list[tuple[_Space, _Sounded]] = []
     for i in sorted(range(len(looks)), key=lambda i: _rank(looks[i]), reverse=True):
         look, n = looks[i], looks[i].n_positions
-        # looks from other sides into the same space
-        shares = [np.average(s.bounds[look.sides], weights=look.strikes) for s in spaces]
-        if spaces and max(shares) > 0.5:
-            k = int(np.argmax(shares))
-            spaces[k] = spaces[k]._replace(n_positions=spaces[k].n_positions + n)
-        elif not spaces or (
-            (n or look.volume_m3 > _DISAGREES * spaces[0].volume_m3) and len(spaces) < _MOST_SPACES
-        ):
-            bounds = _bounding(faces, look, positions_m[within == i] if n else look.point_m)
-            volume = volume_m3(_bounded(mesh, bounds))
-            spaces.append(look._replace(bounds=bounds, volume_m3=volume))
-    spaces.sort(key=_rank, reverse=True)
-    return faces, spaces, _sounded(faces, spaces[0].bounds)
+        for k, (space, own) in enumerate(found):
+            if _is_within(faces, space, look.hits_m[:: _LOOK[1]]):
+                found[k] = space._replace(n_positions=space.n_positions + n), own
+                break
+        else:
+            if not found or (
+                (n or look.volume_m3 > _DISAGREES * found[0][0].volume_m3)
+                and len(found) < _MOST_SPACES
+            ):
+                starts = positions_m[within == i] if n else look.point_m
+                bounds, hits, own = _bounding(faces, look, starts)
+                volume = volume_m3(_bounded(mesh, bounds))
+                found.append((look._replace(bounds=bounds, hits_m=hits, volume_m3=volume), own))
+    found.sort(key=lambda each: _rank(each[0]), reverse=True)
+    return faces, [space for space, _ in found], found[0][1]
 
 
 def _rank(space: _Space) -> tuple[int, bool, float]:
@@ -407,26 +469,32 @@ def _cut(mesh: Mesh, some: BoolArray, crossed: BoolArray) -> tuple[Mesh, BoolArr
     origin = [np.flatnonzero(~some)]
     crossed, n_pairs = crossed.copy(), 0
     for i in np.flatnonzero(some):
-        parts = [corners[i]]
+        parts, spans = [corners[i]], np.stack((low[i], high[i]))[None]
         near = np.all((low <= high[i]) & (high >= low[i]), axis=1)
         near[i] = False
         for j in np.flatnonzero(near):
-            n_pairs += len(parts)
+            touched = np.all((spans[:, 0] <= high[j]) & (spans[:, 1] >= low[j]), axis=1)
+            n_pairs += np.count_nonzero(touched)
             check_limit("crossings", n_pairs, "the room file")
+            mine = [parts[k] for k in np.flatnonzero(touched)]
             height_m = (corners[j] - corners[i, 0]) @ normals[i]
             if np.all(np.abs(height_m) < WELD_TOLERANCE_M):
                 faces_alike = normals[i] @ normals[j] > 0.0
                 if faces_alike and (areas[j], j) >= (areas[i], i):
                     continue
-                divided = [divide(part, corners[j]) for part in parts]
-                parts = [p for _, outside in divided for p in outside]
+                divided = [divide(part, corners[j]) for part in mine]
+                new = [p for _, outside in divided for p in outside]
                 if not faces_alike:
-                    parts += [inner for inner, _ in divided if inner is not None]
+                    new += [inner for inner, _ in divided if inner is not None]
             elif height_m.min() < WELD_TOLERANCE_M and height_m.max() > -WELD_TOLERANCE_M:
-                n_before = len(parts)
-                parts = [p for part in parts for p in _halved(part, corners[j])]
+                new = [p for part in mine for p in _halved(part, corners[j, 0], normals[j])]
                 crosses = height_m.min() < -WELD_TOLERANCE_M and height_m.max() > WELD_TOLERANCE_M
-                crossed[i] |= crosses and len(parts) > n_before
+                crossed[i] |= crosses and len(new) > len(mine)
+            else:
+                continue
+            parts = [parts[k] for k in np.flatnonzero(~touched)] + new
+            new_spans = [(p.min(axis=0), p.max(axis=0)) for p in new]
+            spans = np.concatenate((spans[~touched], np.reshape(new_spans, (-1, 2, 3))))
         own = [part[triangulate(part).triangles] for part in parts]
         pieces += own
         origin.append(np.full(sum(map(len, own)), i))
@@ -439,12 +507,10 @@ def _cut(mesh: Mesh, some: BoolArray, crossed: BoolArray) -> tuple[Mesh, BoolArr
     return cut, crossed[of[order][whole]]
 
 
-def _halved(part: FloatArray, triangle: FloatArray) -> list[FloatArray]:
-    """Return a polygon whole, or the two sides of a triangle that meets it."""
-    off_m = np.maximum(part.min(axis=0) - triangle.max(axis=0), triangle.min(axis=0) - part.max(0))
-    two = halves(part, triangle[0], area_vector_m2(triangle))
-    beside = np.any(off_m > WELD_TOLERANCE_M) or any(map(is_thin, two))
-    return [part] if beside else list(two)
+def _halved(part: FloatArray, at_m: FloatArray, normal: FloatArray) -> list[FloatArray]:
+    """Return a polygon whole, or its two sides of a plane."""
+    two = halves(part, at_m, normal)
+    return [part] if any(map(is_thin, two)) else list(two)
 
 
 def _several(spaces: Sequence[_Space], n_positions: int) -> Iterator[Finding]:
@@ -501,10 +567,11 @@ def _reached(drawn: Mesh, mesh: Mesh, room: Mesh, bounds: BoolArray) -> Iterator
 def _names(mesh: Mesh, which: BoolArray, size: FloatArray) -> str:
     """Return the surfaces of some triangles, each with its largest, the largest first."""
     spots: dict[str, str] = {}
+    middles = corners_m(mesh).mean(axis=1)
     for t in np.flatnonzero(which)[np.argsort(-size[which], kind="stable")]:
         name = mesh.surfaces[mesh.triangle_surface[t]].name
         if name not in spots:
-            spots[name] = place(corners_m(mesh)[t].mean(axis=0))
+            spots[name] = place(middles[t])
     return listed(list(spots.items()))
 
 
