@@ -142,7 +142,7 @@ def cut(text: str) -> str:
     [
         (cut, "cut off"),
         (longer, "too long"),
-        (lambda t: t.replace("* Data start\n0.0\n", "* Data start\nnan\n"), "not finite"),
+        (lambda t: t.replace("* Data start\n0.0\n", "* Data start\nnan\n"), "finite number"),
         (lambda t: t.replace("* Data start\n0.0\n", "* Data start\n0.1 0.2\n"), "not one"),
         (lambda t: t.replace(f"{1.0 / RATE_HZ!r} //", "0.0 //"), "out of range"),
         (lambda t: t.replace(f"{1.0 / RATE_HZ!r} //", "nan //"), "not one"),

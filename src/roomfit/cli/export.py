@@ -78,10 +78,8 @@ def export_result(
         content = csv_of(budget_records(uncertainty_budget(result_file))).encode()
     elif wanted in ("excel", "pdf", "word"):
         if isinstance(result_file, Result):
-            what, found = (
-                "this format is made from the files of a result",
-                f"{wanted!r} of a Result",
-            )
+            what = "this format is made from the files of a result"
+            found = f"{wanted!r} of a Result"
             needed = "result.json, and for PDF or Word report.html beside it"
             hint = "roomfit.write_result(folder, result, []) first"
             raise InputError(what, found=found, needed=needed, hint=hint)

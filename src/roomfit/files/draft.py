@@ -31,8 +31,8 @@ from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import catalogue, suggested_entries
 from roomfit.room.audience import audience_area_m2
 from roomfit.room.build import is_level_by_name
-from roomfit.room.mesh import Mesh
-from roomfit.room.scene import material_areas, surface_materials
+from roomfit.room.mesh import Mesh, refuse
+from roomfit.room.scene import material_areas, misread, surface_materials
 
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
 _LEAST_M, _HIGHEST_M, _LONGEST_M, _LARGEST_M3 = 1.5, 20.0, 150.0, 60_000.0
@@ -276,23 +276,7 @@ def _area_lines(kind: str, things: Sequence[Thing], mesh: Mesh) -> list[str]:
 
 def check_unit(mesh: Mesh, positions: Positions) -> None:
     """Refuse positions most of which lie outside the room, and all of which inside in some unit."""
-    points = np.array(list(positions.values())).reshape(-1, 3)
-    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-
-    def inside(factor: float) -> int:
-        return int(np.sum(np.all((factor * points > low) & (factor * points < high), axis=1)))
-
-    units = {m: u for u, m in METRES_PER_UNIT.items() if inside(m) == len(points)}
-    if units and 2 * inside(1.0) < len(points):
-        # in a smaller one they would stand together in a corner
-        unit = units[max(units)]
-        raise InputError(
-            "the table of positions seems to be in another unit",
-            found=f"{inside(1.0)} of {len(points)} positions within the room, all of them in "
-            f"{unit}",
-            needed=f"a heading with the unit, as name,x [{unit}],y [{unit}],z [{unit}]",
-            hint="or another --unit of the room",
-        )
+    refuse(misread(mesh, np.array(list(positions.values())).reshape(-1, 3)))
 
 
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:

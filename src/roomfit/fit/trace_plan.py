@@ -200,10 +200,8 @@ def _with_rays(
 def scattering_assumed(names: Sequence[str], value: float, reason: str = "") -> Finding:
     """Return that the scattering of some materials is unspecified, and what was assumed."""
     text = f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}."
-    evidence, remedies = (
-        {"materials": list(names), "scattering": value},
-        scattering_remedies(names, value),
-    )
+    evidence = {"materials": list(names), "scattering": value}
+    remedies = scattering_remedies(names, value)
     return Finding(
         Code.SCATTERING_ASSUMED, About(materials=names), text, evidence, remedies=remedies
     )

@@ -79,10 +79,8 @@ def read_catt(path: Path) -> RoomModel:
     text = read_text(path, "room file")
     for of, (sign, hint) in _OTHERS.items():
         if re.search(sign, text):
-            what, needed = (
-                f"this is a geometry of {of}",
-                "a .geo of CATT-Acoustic, or another format",
-            )
+            what = f"this is a geometry of {of}"
+            needed = "a .geo of CATT-Acoustic, or another format"
             raise InputError(what, where=str(path), found=of, needed=needed, hint=hint)
     files = read_files(path)
     materials, findings = _materials(files)

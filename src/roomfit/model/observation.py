@@ -83,10 +83,8 @@ def energy_term(
     if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
         return None
     absorption = absorption_block(priors, band, float(start[band]))
-    centre_hz, bandwidth_hz = (
-        float(bands.centres_hz[band]),
-        filters.statistical_bandwidth_hz(one)[0],
-    )
+    centre_hz = float(bands.centres_hz[band])
+    bandwidth_hz = filters.statistical_bandwidth_hz(one)[0]
     term = EnergyTerm(centre_hz, float(bandwidth_hz), 0.0, (), observations)
     term = with_paths(term, binned, float(attenuation[band]))
     return term, Parameters((absorption, _gain_block(gain_labels, term, absorption)))

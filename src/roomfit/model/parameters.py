@@ -146,10 +146,8 @@ def physical_values(
         position += n
         found, slope = to_physical(block, free)
         # a fixed value is exactly the one given, without a round trip through the transform
-        own, own_slope = (
-            np.where(block.fitted, found, block.start),
-            np.where(block.fitted, slope, 0.0),
-        )
+        own = np.where(block.fitted, found, block.start)
+        own_slope = np.where(block.fitted, slope, 0.0)
         leader = leaders(block)
         values[block.name], slopes[block.name] = own[leader], own_slope[leader]
     return values, slopes

@@ -445,10 +445,8 @@ def _pressures(
     filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
     columns = _gridded(paths, observations, roots[:, None], times, grid, filled)[:, :n_columns]
     workers = min(numba.get_num_threads(), 2)
-    transfer, slope = (
-        grid.filter.astype(grid.real),
-        grid.slope.astype(np.result_type(grid.real, np.complex64)),
-    )
+    transfer = grid.filter.astype(grid.real)
+    slope = grid.slope.astype(np.result_type(grid.real, np.complex64))
     spectra = fft.rfft(np.ascontiguousarray(columns), axis=-1, workers=workers)
     pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
     if not derivative:

@@ -253,10 +253,8 @@ def design_gain(design: Design) -> Figure:
     if len(design.random_means):
         rows = np.nanquantile(design.random_means[:, reached], (0.05, 0.5, 0.95), axis=0)
         low, middle, high = rows
-        steps, label = (
-            np.flatnonzero(reached),
-            f"{len(design.random_means)} random designs, 5 to 95 %",
-        )
+        steps = np.flatnonzero(reached)
+        label = f"{len(design.random_means)} random designs, 5 to 95 %"
         axes.fill_between(steps, low, high, color=_GREY, alpha=0.35, lw=0.0, label=label)
         axes.plot(steps, middle, color="0.25", lw=1.4, ls="--", label="their median")
     axes.plot(mean_widths(design), "o-", color=_BLUE, lw=1.8, label="chosen")

@@ -400,8 +400,7 @@ def check_mesh(
     >>> check.material_areas_m2
     (('plaster', 66.0), ('floor', 30.0), ('ceiling', 30.0))
     """
-    bare = material_findings(mesh, materials)
-    upright = axis_findings(mesh)
+    doubts = *material_findings(mesh, materials), *axis_findings(mesh), *examine(mesh)
     earlier = tuple(earlier)
     leaks = [f.evidence["share"] for f in earlier if f.code in (Code.LEAK, Code.SMALL_LEAK)]
     x, y, z = np.ptp(mesh.vertices_m, axis=0).tolist()
@@ -414,7 +413,7 @@ def check_mesh(
         n_surfaces=len(mesh.surfaces),
         leak=sum(leaks),
         material_areas_m2=tuple(material_areas(mesh, materials).items()),
-        findings=(*earlier, *bare, *upright, *examine(mesh)),
+        findings=(*earlier, *doubts),
     )
 
 
@@ -658,7 +657,7 @@ def position_findings(
             measured, needed = f"{1e3 * apart_m:.1f} mm", f"at least {1e3 * NEAREST_PAIR_M:.0f} mm"
             at, hint = source.position_m, "check the two positions"
             wrong(Code.SOURCE_AT_RECEIVER, what, at, f"{measured} apart", needed, hint)
-    return (*_misread(room, points, inside), *found)
+    return (*misread(room.mesh, points), *found)
 
 
 def is_clear_of_walls(room: Room, positions_m: FloatArray, distance_m: float) -> BoolArray:
@@ -679,21 +678,23 @@ _READINGS: tuple[tuple[str, FloatArray], ...] = (
 )
 
 
-def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]:
-    """Return a fault where points are all inside in another unit, or with other axes."""
-    if np.count_nonzero(~inside) < max(2, len(points) / 2):
+def misread(mesh: Mesh, points_m: FloatArray) -> list[Finding]:
+    """Return a fault where points, (n, 3), are all inside in another unit, or with other axes."""
+    outside = ~is_inside(mesh, points_m)
+    if np.count_nonzero(outside) < max(2, len(points_m) / 2):
         return []
     for what, matrix in _READINGS:
-        if np.all(is_inside(room.mesh, points @ matrix.T)):
+        if np.all(is_inside(mesh, points_m @ matrix.T)):
             return [
                 fault(
                     Code.POSITIONS_MISREAD,
                     "room and positions are in different units or axes",
-                    found=f"{np.count_nonzero(~inside)} of {len(points)} positions outside of the "
-                    f"room, and all of them inside if they are taken {what}",
+                    found=f"{np.count_nonzero(outside)} of {len(points_m)} positions outside of "
+                    f"the room, and all of them inside if they are taken {what}",
                     needed="metres, z up, in the frame of the room",
-                    hint="check unit and up of the room, or convert the positions",
-                    points_m=points[~inside],
+                    hint="check unit and up of the room, or give the table of positions a heading "
+                    "with its unit, as name,x [cm],y [cm],z [cm]",
+                    points_m=points_m[outside],
                 )
             ]
     return []

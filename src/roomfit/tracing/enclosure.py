@@ -55,18 +55,16 @@ from roomfit.tracing.walls import EDGE_M, facet_table, ray_key, scattered, unifo
 _FRONT_M, _EDGE_M = 1e-8, 1e-7
 # A flight goes on from this far before the wall that it met: the way there was free.
 _BACK_M = 1e-6
-# Flights and reflections of each: a look from a point, or all that the sources reach.
-_LOOK, _ALL = (64, 40), (2000, 120)
+# Flights, reflections of each: a look from a point, or all that the sources reach, of whose points
+# one in 32 stands for all.
+_LOOK, _ALL, _EACH = (64, 40), (2000, 120), 32
 _MOST_LOOKS = 200
 _MOST_SPACES = 6
 _MOST_LOST = 0.02  # of a look's hits, for a space that is closed
 _WEAK = 0.02  # of the strikes that a side of its area has: from beyond a gap
 _SAMPLES = 100_000
-_EACH = 32  # of the points that flights struck, so many stand for all
-_NEAREST = 3  # points in the air, of which one must be in sight
-_PROBES, _MOST_UNSURE = 5, 2000
-_SHARED = 0.1
-_MOST_ROUNDS = 24
+_NEAREST, _PROBES = 3, 5  # points in the air, one of which must be in sight; chances
+_SHARED = 0.1  # of a look, for one into a space that is known
 # Share of the area behind openings above which a drawing is no room; a decay takes 100 hits.
 LEAK_LIMIT = 1e-3
 _DISAGREES = 0.02  # volume or area by the faces and by sound, for a room that is refused
@@ -84,6 +82,18 @@ class _Faces(NamedTuple):
     rng: np.random.Generator
 
 
+class _Sounded(NamedTuple):
+    """What flights from points all over some sides say of the room that these bound."""
+
+    volume_m3: float = 0.0
+    area_m2: float = 0.0
+    open: float = 1.0  # share of flights that are lost, or end on other sides
+    lost_m: FloatArray = np.zeros((0, 3))  # where these began
+    lost_way: FloatArray = np.zeros((0, 3))  # and their directions
+    lost_on: IntArray = np.zeros(0, dtype=np.int64)  # those other sides
+    hidden_m2: FloatArray = np.zeros(0)  # (n_sides,), within a body or behind another face
+
+
 class _Space(NamedTuple):
     """What flights from one place strike."""
 
@@ -96,6 +106,7 @@ class _Space(NamedTuple):
     is_wall: bool = False  # lies between two shells of walls
     n_positions: int = 0  # positions in it
     bounds: BoolArray = np.zeros(0, dtype=np.bool_)  # (n_sides,), which bound its air
+    sounded: _Sounded = _Sounded()
 
 
 def _faces_of(mesh: Mesh) -> _Faces:
@@ -176,7 +187,7 @@ def _is_joined(
     """Return from which points before sides sound comes to points in the air, straight or once
     reflected."""
     joined = _sees(faces, hits_m, points_m)
-    unsure = faces.rng.permutation(np.flatnonzero(~joined))[:_MOST_UNSURE]
+    unsure = faces.rng.permutation(np.flatnonzero(~joined))[: _ALL[0]]
     starts, away = (np.repeat(x[unsure], _PROBES, axis=0) for x in (points_m, away))
     struck, ends_m, _ = _flights(faces, starts, _cosine(faces, away))
     sees = (struck[:, 0] >= 0) & _sees(faces, hits_m, ends_m[:, 0])
@@ -184,18 +195,18 @@ def _is_joined(
     return joined
 
 
-def _is_bare(faces: _Faces, sides: IntArray, points_m: FloatArray, away: FloatArray) -> BoolArray:
-    """Return whether no other face lies upon each side at a point before it."""
-    return np.asarray(_flights(faces, points_m, -away)[0][:, 0] == sides)
+def _before(faces: _Faces, sides: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return sides, a random point before each, and the unit vector away from it, each (n, 3).
 
-
-def _before(faces: _Faces, sides: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return a random point before each side, and the unit vector away from it, each (n, 3)."""
+    Points upon which another face lies are left out.
+    """
     u, v = faces.rng.random((2, len(sides), 1))
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     a, b, c = np.moveaxis(faces.corners_m[sides // 2], 1, 0)
     away = faces.normal[sides // 2] * np.where(sides % 2, 1.0, -1.0)[:, None]
-    return a + u * (b - a) + v * (c - a) + _BACK_M * away, away
+    points_m = a + u * (b - a) + v * (c - a) + _BACK_M * away
+    bare = _flights(faces, points_m, -away)[0][:, 0] == sides
+    return sides[bare], points_m[bare], away[bare]
 
 
 def _cosine(faces: _Faces, away: FloatArray) -> FloatArray:
@@ -245,8 +256,8 @@ def _spaces(faces: _Faces, positions_m: FloatArray) -> tuple[list[_Space], IntAr
     for triangle in np.argsort(-faces.area_m2, kind="stable"):
         for side in (2 * triangle, 2 * triangle + 1):
             if owner[side] < 0 and n_looks < _MOST_LOOKS:
-                at_m, away = _before(faces, np.array([side]))
-                space_at(at_m[0], away[0])
+                for at_m, away in zip(*_before(faces, np.array([side]))[1:], strict=True):
+                    space_at(at_m, away)
                 n_looks += 1
     return closed or [space for space in leaking if len(space.sides)], within
 
@@ -266,57 +277,42 @@ def _within_walls(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
     return np.asarray(np.any(holds & (free_m > free_m[:, None]), axis=1))
 
 
-class _Sounded(NamedTuple):
-    """What flights from points all over some sides say of the room that these bound."""
-
-    volume_m3: float = 0.0
-    area_m2: float = 0.0
-    open: float = 1.0  # share of flights that are lost, or end on other sides
-    lost_m: FloatArray = np.zeros((0, 3))  # where these began
-    lost_way: FloatArray = np.zeros((0, 3))  # and their directions
-    lost_on: IntArray = np.zeros(0, dtype=np.int64)  # those other sides
-    hidden_m2: FloatArray = np.zeros(0)  # (n_sides,), within a body or behind another face
-
-
 def _sounded(faces: _Faces, bounds: BoolArray, hits_m: FloatArray) -> _Sounded:
     own = np.flatnonzero(bounds)
     ends = np.cumsum(faces.area_m2[own // 2])
     shots = (np.arange(_SAMPLES) + faces.rng.random(_SAMPLES)) / _SAMPLES
-    side = own[np.minimum(np.searchsorted(ends, shots * ends[-1]), len(own) - 1)]
-    points, away = _before(faces, side)
-    bare, ways = _is_bare(faces, side, points, away), _cosine(faces, away)
+    drawn = own[np.minimum(np.searchsorted(ends, shots * ends[-1]), len(own) - 1)]
+    side, points, away = _before(faces, drawn)
+    ways = _cosine(faces, away)
     struck, _, length_m = _flights(faces, points, ways)
     returns = (struck[:, 0] >= 0) & bounds[struck[:, 0]]
-    astray = np.flatnonzero(bare & ~returns)
-    bare[astray] = _is_joined(faces, hits_m, points[astray], away[astray])
-    lost = bare & ~returns
-    area_m2 = float(ends[-1])
-    hidden = np.bincount(side[~bare], minlength=len(bounds)) * area_m2 / _SAMPLES
-    own_m2 = area_m2 * np.count_nonzero(bare) / _SAMPLES
-    free_m = float(length_m[bare & returns].mean()) if np.any(bare & returns) else 0.0
-    share = np.count_nonzero(lost) / max(int(np.count_nonzero(bare)), 1)
+    inside = returns.copy()
+    inside[~returns] = _is_joined(faces, hits_m, points[~returns], away[~returns])
+    lost, n_inside = inside & ~returns, max(int(np.count_nonzero(inside)), 1)
+    n_hidden = np.bincount(drawn, minlength=len(bounds)) - np.bincount(
+        side[inside], minlength=len(bounds)
+    )
+    area_m2 = float(ends[-1]) * n_inside / _SAMPLES
     return _Sounded(
-        max(own_m2 * free_m / 4.0, 1e-9),
-        max(own_m2, 1e-9),
-        share,
+        max(area_m2 * float(length_m[returns].sum()) / max(int(returns.sum()), 1) / 4.0, 1e-9),
+        area_m2,
+        np.count_nonzero(lost) / n_inside,
         points[lost],
         ways[lost],
         struck[lost & (struck[:, 0] >= 0), 0],
-        hidden,
+        n_hidden * float(ends[-1]) / _SAMPLES,
     )
 
 
-def _bounding(
-    faces: _Faces, space: _Space, starts_m: FloatArray
-) -> tuple[BoolArray, FloatArray, _Sounded]:
-    """Return which sides bound the air of a space, (n_sides,), points before them, and its sound.
+def _bounding(faces: _Faces, space: _Space, starts_m: FloatArray) -> _Space:
+    """Return a space with all the sides that bound its air, and points before them.
 
     Where flights from the air end on other sides others follow: a corridor is longer than they are.
     """
     area_m2, is_open = np.repeat(faces.area_m2, 2), space.lost > _MOST_LOST
     bounds, strikes = np.zeros(len(area_m2), dtype=np.bool_), np.zeros(len(area_m2))
     hits_m, sounded = np.zeros((0, 3)), _Sounded(open=1.0)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MOST_LOOKS):
         before = bounds.copy()
         if sounded.open > LEAK_LIMIT:
             starts = np.resize(starts_m, (_ALL[0], 3))
@@ -333,11 +329,9 @@ def _bounding(
             # what is too small to be struck, but looks at what was
             small = (expected < 20.0) & (area_m2 > 0.0)
             small[sounded.lost_on] = True
-            others = np.repeat(np.flatnonzero(small & ~bounds), _PROBES)
-            at_m, away = _before(faces, others)
-            bare = _is_bare(faces, others, at_m, away)
-            others, at_m = others[bare], at_m[bare]
-            joined = _is_joined(faces, hits_m, at_m, away[bare])
+            chosen = np.repeat(np.flatnonzero(small & ~bounds), _PROBES)
+            others, at_m, away = _before(faces, chosen)
+            joined = _is_joined(faces, hits_m, at_m, away)
             votes = np.bincount(others, np.where(joined, 1.0, -1.0), len(bounds))
             joined &= votes[others] > 0.0
             bounds |= votes > 0.0
@@ -348,7 +342,7 @@ def _bounding(
             break
         sounded = _sounded(faces, bounds, hits_m)
         starts_m = sounded.lost_m
-    return bounds, hits_m, sounded
+    return space._replace(hits_m=hits_m, bounds=bounds, sounded=sounded)
 
 
 def _bounded(mesh: Mesh, bounds: BoolArray) -> Mesh:
@@ -397,7 +391,8 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
         explored = _explored(mesh, positions)
         if explored is None:
             return drawn, ()
-        faces, spaces, sounded = explored
+        faces, spaces = explored
+        sounded = spaces[0].sounded
         hidden = sounded.hidden_m2.reshape(-1, 2).sum(axis=1)
         is_whole = hidden.sum() <= _DOUBTED * sounded.area_m2 or spaces[0].lost > _MOST_LOST
         if is_whole or n_cuts == 3:
@@ -420,7 +415,7 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
     return room, findings
 
 
-def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space], _Sounded] | None:
+def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space]] | None:
     """Return the room and other spaces worth a word; None where no flight meets a face."""
     faces = _faces_of(mesh)
     looks, within = _spaces(faces, positions_m)
@@ -431,24 +426,19 @@ def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space]
         look._replace(n_positions=int(np.sum(within == i)), is_wall=bool(is_wall[i]))
         for i, look in enumerate(looks)
     ]
-    found: list[tuple[_Space, _Sounded]] = []
+    spaces: list[_Space] = []
     for i in sorted(range(len(looks)), key=lambda i: _rank(looks[i]), reverse=True):
         look, n = looks[i], looks[i].n_positions
-        for k, (space, own) in enumerate(found):
-            if _is_within(faces, space, look.hits_m[:: _LOOK[1]]):
-                found[k] = space._replace(n_positions=space.n_positions + n), own
-                break
-        else:
-            if not found or (
-                (n or look.volume_m3 > _DISAGREES * found[0][0].volume_m3)
-                and len(found) < _MOST_SPACES
-            ):
-                starts = positions_m[within == i] if n else look.point_m
-                bounds, hits, own = _bounding(faces, look, starts)
-                volume = volume_m3(_bounded(mesh, bounds))
-                found.append((look._replace(bounds=bounds, hits_m=hits, volume_m3=volume), own))
-    found.sort(key=lambda each: _rank(each[0]), reverse=True)
-    return faces, [space for space, _ in found], found[0][1]
+        seen = look.hits_m[:: _LOOK[1]]
+        k = next((k for k, s in enumerate(spaces) if _is_within(faces, s, seen)), None)
+        if k is not None:
+            spaces[k] = spaces[k]._replace(n_positions=spaces[k].n_positions + n)
+        elif not spaces or (
+            (n or look.volume_m3 > _DISAGREES * spaces[0].volume_m3) and len(spaces) < _MOST_SPACES
+        ):
+            space = _bounding(faces, look, positions_m[within == i] if n else look.point_m)
+            spaces.append(space._replace(volume_m3=volume_m3(_bounded(mesh, space.bounds))))
+    return faces, sorted(spaces, key=_rank, reverse=True)
 
 
 def _rank(space: _Space) -> tuple[int, bool, float]:
@@ -474,7 +464,7 @@ def _cut(mesh: Mesh, some: BoolArray, crossed: BoolArray) -> tuple[Mesh, BoolArr
         near[i] = False
         for j in np.flatnonzero(near):
             touched = np.all((spans[:, 0] <= high[j]) & (spans[:, 1] >= low[j]), axis=1)
-            n_pairs += np.count_nonzero(touched)
+            n_pairs += int(np.count_nonzero(touched))
             check_limit("crossings", n_pairs, "the room file")
             mine = [parts[k] for k in np.flatnonzero(touched)]
             height_m = (corners[j] - corners[i, 0]) @ normals[i]

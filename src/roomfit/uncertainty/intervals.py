@@ -52,10 +52,8 @@ class Refinement:
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         draws = None
         if self.n_draws and answer.model == "values":
-            rng, block = (
-                np.random.default_rng(self.seed),
-                parameters.absorption_of(objective.parameters),
-            )
+            rng = np.random.default_rng(self.seed)
+            block = parameters.absorption_of(objective.parameters)
             free, more = posterior_draws(objective, fit, self.n_draws, rng)
             low, high = block.lower[block.fitted], block.upper[block.fitted]
             draws = np.tile(answer.absorption, (len(free), 1))
@@ -89,10 +87,8 @@ def profiled(band: gaussian.FittedBand) -> gaussian.BandEstimate:
         return answer
     of_all = objective.parameters
     block, first = parameters.absorption_of(of_all), parameters.position_of(of_all, "absorption")
-    free, sd = (
-        parameters.to_free(block, answer.absorption),
-        np.sqrt(np.diag(answer.logit_covariance)),
-    )
+    free = parameters.to_free(block, answer.absorption)
+    sd = np.sqrt(np.diag(answer.logit_covariance))
     shared_sd = np.zeros(fit.vector.size) if steps is None else np.linalg.norm(steps, axis=1)
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []

@@ -109,10 +109,8 @@ def _refuse_foreign_keys(spec: ResponseSpec, kind: str, keys: tuple[str, ...]) -
     for key in _CHOICES:
         if getattr(spec, key) is not None and key not in keys:
             what, found = "a key does not belong to this kind of file", f"{key} for a {kind} file"
-            needed, hint = (
-                f"only {', '.join(keys) or 'the path'}",
-                "leave it out, or rename the file",
-            )
+            needed = f"only {', '.join(keys) or 'the path'}"
+            hint = "leave it out, or rename the file"
             raise InputError(what, found=found, needed=needed, hint=hint)
 
 

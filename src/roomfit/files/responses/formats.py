@@ -82,12 +82,10 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
     .. [1] RWTH Aachen, ITA-Toolbox, ``itaSuper.saveobj`` and ``ita_write_ita`` (2011-2024).
     """
     variables = _variables(content)
-    keys = ("domain", "data", "samplingRate", "dataFactor")
-    own = {key: variables[f"{_ITA}.{key}"] for key in keys if f"{_ITA}.{key}" in variables}
-    domain, data, rate, factor = (own.get(key) for key in keys)
-    factor = np.ones(1) if factor is None else factor
-    scales = [v for v in (rate, factor) if not isinstance(v, str | None) and v.size == 1]
-    if isinstance(data, str | None) or data.ndim != 2 or domain != "text 'time'" or len(scales) < 2:
+    own: Variables = {k.removeprefix(f"{_ITA}."): v for k, v in variables.items() if _ITA in k}
+    sizes = own.get("data"), own.get("samplingRate"), own.get("dataFactor", np.ones(1))
+    numbers = [v for v in sizes if isinstance(v, np.ndarray)]
+    if len(numbers) < len(sizes) or own.get("domain") != "text 'time'":
         raise InputError(
             "this is not an audio object of the ITA-Toolbox that can be read",
             found=_listed(own or variables)[:300],
@@ -95,8 +93,8 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
             hint="in MATLAB: a = ita_read(FILE); RIR = a.timeData; Fs = a.samplingRate; "
             "save('a.mat', 'RIR', 'Fs', '-v7')",
         )
-    rate_hz, scale = (float(v.reshape(-1)[0]) for v in scales)
-    return _column(data * scale, spec, rate_hz, "channel")
+    data, rate, factor = numbers
+    return _column(data * factor.reshape(-1)[0], spec, float(rate.reshape(-1)[0]), "channel")
 
 
 def _variables(content: bytes) -> Variables:
@@ -141,11 +139,7 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     interval_s, length, start_s = (numbers[key] for key in _REW_NEEDED)
     while len(lines) > n_header and not lines[-1].strip():
         lines.pop()
-    try:
-        pressure = np.array([float(line) for line in lines[n_header:]])
-    except ValueError:
-        numbered = enumerate(lines[n_header:], n_header + 1)
-        pressure = np.array([_number(text, n) for n, text in numbered])
+    pressure = np.array([_number(text, n) for n, text in enumerate(lines[n_header:], n_header + 1)])
     what = ""
     if "ir is the min phase version" in notes:
         what = "a minimum-phase response has lost its arrival times"

@@ -37,15 +37,11 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
     receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index")
     emitter = pick("emitter", spec.emitter_index, responses.shape[3], "emitter_index")
     rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
-    delay_samples = 0.0
+    # one for all measurements, or one for each: (I or M, R) and for FIR-E an axis of emitters
     delays = sofa_values(sofa, "Data.Delay")
-    if delays is not None:
-        # one for all measurements, or one for each: (I or M, R) and for FIR-E an axis of emitters
-        delays = np.atleast_2d(delays)
-        row, column = min(measurement, delays.shape[0] - 1), min(receiver, delays.shape[1] - 1)
-        delay_samples = float(
-            delays[row, column].reshape(-1)[min(emitter, delays[row, column].size - 1)]
-        )
+    delays = np.zeros((1, 1)) if delays is None else np.atleast_2d(delays)
+    at = zip((measurement, receiver, emitter), delays.shape, strict=False)
+    delay_samples = float(delays[tuple(min(i, n - 1) for i, n in at)])
     pressure = responses[measurement, receiver, :, emitter].copy()
     return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
 
