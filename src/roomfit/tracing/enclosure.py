@@ -429,8 +429,8 @@ def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space]
     spaces: list[_Space] = []
     for i in sorted(range(len(looks)), key=lambda i: _rank(looks[i]), reverse=True):
         look, n = looks[i], looks[i].n_positions
-        seen = look.hits_m[:: _LOOK[1]]
-        k = next((k for k, s in enumerate(spaces) if _is_within(faces, s, seen)), None)
+        first_m = look.hits_m[:: _LOOK[1]]
+        k = next((k for k, s in enumerate(spaces) if _is_within(faces, s, first_m)), None)
         if k is not None:
             spaces[k] = spaces[k]._replace(n_positions=spaces[k].n_positions + n)
         elif not spaces or (
