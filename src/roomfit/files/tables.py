@@ -446,7 +446,8 @@ def _bands_across(sheet: Sheet, path: Path) -> list[Row]:
 
     A band that stood already begins another table of the same columns.
     """
-    heads = {i for r in sheet.rows for i, c in enumerate(_small(r)) if is_word("frequency", c)}
+    named = [row.cells for row in sheet.rows if not are_units(row)]
+    heads = {i for cells in named for i, cell in enumerate(cells) if is_word("frequency", cell)}
     ways = {column: _bands_below(sheet, column) for column in (0, *sorted(heads))}
     column, below = max(ways.items(), key=lambda way: len(way[1]) - way[1].count(None))
     n_below = len(below) - below.count(None)

@@ -51,7 +51,7 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
         if own or (columns and tables.are_units(row)):
             columns, heading = own or columns, cells if own else heading
             padded = [*cells, *[""] * len(heading)]
-            units = [_unit_in(padded[columns[axis]]) for axis in "xyz"]
+            units = [_unit_in(padded[columns[axis]]) for axis in ("x", "y", "z", "name")]
             stated = [*filter(None, units)] or stated
         elif row.is_remark and (found or without):
             continue
@@ -67,7 +67,7 @@ def read_positions(path: Path) -> tuple[dict[str, Position], tuple[Finding, ...]
             own_unit = "".join({*cells[1:]} & {*METRES_PER_UNIT})
             x, y, z = (
                 round(sheet.value(cell, own_unit or of or unit, METRES_PER_UNIT, row.where), 6)
-                for cell, of in zip(coordinates, units, strict=True)
+                for cell, of in zip(coordinates, units, strict=False)
             )
             if name in found or not name:
                 raise _refused(row, _UNCLEAR, "give each row a name of its own")
@@ -204,6 +204,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
         before = times.get(position, values)
         times[position] = np.where(np.isfinite(before), before, values)
     table = np.array(list(times.values()))
+    table = table[np.isfinite(table).any(axis=1)]
     has_some = np.isfinite(table).any(axis=0)
     wrong = table[(table < 0.01) | (table > 60.0)]
     if wrong.size or not has_some.any():
