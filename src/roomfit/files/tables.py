@@ -43,7 +43,7 @@ _NUMBER = re.compile(
     r"\s*([^\W\d_]{0,4}|%)",
     re.IGNORECASE,
 )
-_GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
+_GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+|(,\d{3})+)")
 Sizes = Mapping[str, float]  # of units
 SECONDS: Sizes = {"s": 1.0, "ms": 0.001}
 _SMALL = ("mm", "cm", "in", "ms")  # units in which 1.200 may be 1200
@@ -109,9 +109,7 @@ class Sheet(NamedTuple):
             return sizes[own] * number
         what = "not a number, or one that is not understood"
         needed = f"a number, or an empty cell, in {' or '.join(sizes)}"
-        hint = (
-            "leave the cell empty where nothing is known, or name its unit in the heading: x [cm]"
-        )
+        hint = "leave the cell empty where nothing is known, or name its unit in the heading"
         if is_unclear:
             hint = f"write {cell} without the mark if it is of thousands, else with more decimals"
         raise InputError(what, where=where, found=repr(cell[:40]), needed=needed, hint=hint)
@@ -125,21 +123,13 @@ def _as_float(number: str, decimal: str) -> float | None:
     """Return a number with either mark for decimals or for groups."""
     plain = re.sub(_GROUP_MARKS, "", number).replace("\u2212", "-")
     marks = re.findall("[.,]", plain)
-    if _GROUPED.fullmatch(plain) and len(set(marks)) == 1:
+    if _GROUPED.fullmatch(plain):
         if len(marks) > 1 or decimal not in ("", marks[0]):
             return float(re.sub("[.,]", "", plain))
     elif marks and marks.count(marks[-1]) > 1:
         return None
     other = "," if marks[-1:] == ["."] else "."
     return float(plain.replace(other, "").replace(",", "."))
-
-
-def _decimal(cell: str) -> str:
-    """Return the mark of decimals that a number has beyond doubt, "" without such."""
-    match = _NUMBER.fullmatch(cell)
-    marks = re.findall("[.,]", match[1]) if match else []
-    is_clear = match and marks and (len(set(marks)) > 1 or not _GROUPED.fullmatch(match[1]))
-    return str(marks[-1]) if is_clear else ""
 
 
 def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
@@ -169,7 +159,8 @@ def read_sheet(path: Path, what: str, separator: str = "") -> Sheet:
         if any(own):
             text = "" if is_book else lines[number - 1]
             rows.append(Row(f"{path}, line {number}", own, text, is_remark))
-    marks = {mark for row in rows for cell in row.cells if (mark := _decimal(cell))}
+    numbers = [m[1] for row in rows for cell in row.cells if (m := _NUMBER.fullmatch(cell))]
+    marks = {re.sub("[^.,]", "", n)[-1:] for n in numbers if not _GROUPED.fullmatch(n)} - {""}
     return Sheet(separator, rows, "".join(marks) if len(marks) == 1 and not is_book else "")
 
 
@@ -199,15 +190,12 @@ def _small(row: Row) -> list[str]:
     return [" ".join(cell.casefold().split()) for cell in row.cells]
 
 
-def lacking(
-    path: Path, what: str, rows: Sequence[Row], names: Sequence[str], lacks: str
-) -> InputError:
+def lacking(path: Path, what: str, rows: Sequence[Row], names: Sequence[str]) -> InputError:
     """Return the refusal of a table without a heading, bands or values."""
     first = " ".join(rows[0].cells)[:60] if rows else ""
     found = f"{len(rows)} line{'' if len(rows) == 1 else 's'}, the first {first!r}"
     needed = f"a line that names the columns {', '.join(names)}, and lines of values"
     hint = "write names above columns, and export all rows"
-    what = f"a {what} without {lacks}"
     return InputError(what, where=str(path), found=found, needed=needed, hint=hint)
 
 
@@ -223,9 +211,8 @@ def number_in(cell: str, where: str, needed: str, hint: str) -> float:
     return value
 
 
-def summaries(labels: Iterable[str]) -> set[str]:
+def summaries(labels: Sequence[str]) -> set[str]:
     """Return the names of rows or columns that summarise or count others."""
-    labels = [*labels]
     words = {label: re.findall(r"[^\W_]+|∅", label) for label in labels}
     ends = {label: ["".join(own), *own[:1], *own[-1:]] for label, own in words.items()}
     found = {label for label, own in ends.items() if any(is_word("summary", w) for w in own)}
@@ -242,10 +229,7 @@ def are_units(row: Row) -> bool:
 
 
 def stated_unit(cells: Iterable[str], sizes: Sizes) -> str:
-    """Return the unit that cells state: in brackets, after "in" or "unit", or alone in a cell.
-
-    "" for none; several are no unit that has a size: "cm or m".
-    """
+    """Return the unit in brackets, after "in", alone in a cell; "" for none, "cm or m" for two."""
     found = words_of("stated").findall(";".join(["", *cells, ""]))
     return " or ".join(sorted({unit_of(word) for words in found for word in words} & {*sizes}))
 
@@ -342,8 +326,8 @@ def band_rows(path: Path, what: str, names: Sequence[str] = ()) -> tuple[list[Ba
             if any(named) or not row.is_remark:
                 title = _filled(named, title or ("", ""))
     if not found:
-        needed = [*names, "125, 250, ..."]
-        raise lacking(path, what, sheet.rows, needed, "values" if heading else "bands")
+        what = f"a {what} without {'values' if heading else 'bands'}"
+        raise lacking(path, what, sheet.rows, [*names, "125, 250, ..."])
     return _called(found), others
 
 
@@ -539,13 +523,10 @@ def _sheet_rows(content: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
                 cells[column] = _cell(cell, texts)
             yield int(row.get("r", number)), cells
     except (*DAMAGE, ElementTree.ParseError) as error:
-        raise InputError(
-            "this is not an Excel workbook with a table",
-            where=where,
-            found=" ".join(f"{type(error).__name__}: {error}".split())[:200],
-            needed="a file .xlsx whose first sheet holds the table",
-            hint="save the sheet as CSV, or copy its cells as text",
-        ) from error
+        what, needed = "this is not an Excel workbook with a table", "a .xlsx file, its table first"
+        found, hint = f"{type(error).__name__}: {error}", "save the sheet as CSV, or copy its cells"
+        found = " ".join(found.split())[:200]
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint) from error
 
 
 def _tree(content: bytes) -> Any:

@@ -181,7 +181,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
     summarise others, or hold another quantity, are left out.
     """
     rows, others = tables.band_rows(path, "table of decay times")
-    left = tables.summaries(row.rest for row in rows)
+    left = tables.summaries([row.rest for row in rows])
     own = [r for r in rows if r.rest not in left and not _is_beside(r, rows)]
     known = [r.quantity for r in own if r.quantity in tables.TIMES and np.nansum(r.values(r.cells))]
     wanted = next((quantity for quantity in tables.TIMES if quantity in known), "")
@@ -287,10 +287,7 @@ def read_parameters(
 
 
 def _parameter(row: tables.BandRow) -> tuple[str, bool]:
-    """Return the name of a line's parameter, and whether it holds standard deviations of it.
-
-    "" for what is no room parameter, or is beside one, as T30 error.
-    """
+    """Return the parameter of a line, "" for what is beside one, and whether it is its spread."""
     plain = _SPREAD.sub("", row.names[2])
     quantity, rest = tables.quantity_in(plain)
     is_other = quantity in ("other", "label") or (quantity and rest != "…")

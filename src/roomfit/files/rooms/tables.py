@@ -49,10 +49,7 @@ class _Line(NamedTuple):
 
 
 def _numbered(path: Path, kind: str, columns: tuple[str, ...]) -> dict[str, _Line]:
-    """Return the rows of a table that have a number of their own, by it; others are notes.
-
-    They stand below a heading that has all columns, by patterns of their names, or a later one.
-    """
+    """Return the rows below a heading that have a number of their own, by it; others are notes."""
     found: dict[str, _Line] = {}
     heading: list[str] = []
     names, what = (_NUMBER, *columns), f"table of {kind}s"
@@ -77,7 +74,8 @@ def _numbered(path: Path, kind: str, columns: tuple[str, ...]) -> dict[str, _Lin
         if number is not None:
             found[number] = line
     if not found:
-        raise lacking(path, what, rows, names, "values" if heading else "a heading")
+        what = f"a {what} without {'values' if heading else 'a heading'}"
+        raise lacking(path, what, rows, names)
     return found
 
 
