@@ -347,6 +347,7 @@ def test_a_parameter_is_read_in_the_unit_of_its_cell_or_its_name(tmp_path, line,
         ("T30 std;" + HZ[6:] + P1, "other"), (HZ + "P1;12 dB;12 dB;12 dB", "12 dB"),
         (HZ + "P1;5 %;5 %;5 %", "5 %"), ("T30 in ms\n" + HZ + "P1;1.910;1.730;1.530", "1.910"),
         (HZ + "P1;0,00191;0,002;0,002", "0.00191 s"),
+        (HZ + P1 + "Chance;0,1;0,1;0,1", "P1: 17.3 times those of Chance"),
     ],
 )  # fmt: skip
 def test_a_table_of_another_quantity_is_refused_by_it(tmp_path, content, found):

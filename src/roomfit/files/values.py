@@ -204,18 +204,25 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands, tuple[Finding, ...]
         before = times.get(position, values)
         times[position] = np.where(np.isfinite(before), before, values)
     table = np.array(list(times.values()))
-    table = table[np.isfinite(table).any(axis=1)]
-    has_some = np.isfinite(table).any(axis=0)
+    has_some, is_row = (np.isfinite(table).any(axis=axis) for axis in (0, 1))
+    table, names = table[np.ix_(is_row, has_some)], np.array([name for name, _ in times])[is_row]
     wrong = table[(table < 0.01) | (table > 60.0)]
-    if wrong.size or not has_some.any():
+    if wrong.size or not table.size:
         what = "a decay time that no room has"
         seconds = f"{wrong[0]:g} s" if wrong.size else "nothing but empty cells and 0"
         needed = "0.01 to 60 s; empty, or 0, where nothing was evaluated"
         hint = "give seconds, or say [ms] in the heading; else leave the cell empty"
         raise InputError(what, where=str(path), found=seconds, needed=needed, hint=hint)
+    apart = np.nanmedian(table / np.nanmedian(table, axis=0), axis=1)
+    if apart.max() > 5.0 * apart.min():
+        what, needed = "decay times that no room has together", "each at most 5 times another"
+        ratio = f"{names[apart.argmax()]}: {apart.max() / apart.min():.3g} times those of"
+        hint = "leave out what is none, or call it: Std, Error, Limit, C80"
+        found = f"{ratio} {names[apart.argmin()]}".replace("…", wanted)
+        raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
     rest = [" ".join(row.names) or row.quantity for row in rows if row not in taken]
     findings = tables.left_out(path, wanted or "decay times", {"rows": rest, "columns": others})
-    return table[:, has_some], bands_of(centres_hz[has_some]), findings
+    return table, bands_of(centres_hz[has_some]), findings
 
 
 def read_parameters(
