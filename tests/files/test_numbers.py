@@ -35,7 +35,7 @@ GOOD: dict[str, Any] = {
     "materials": {
         "walls": {"scattering": {"centres_hz": [500, 1000], "values": [0.1, 0.2]}},
         "carpet": {"prior": {"mean": 0.3, "sd": 0.1}, "bounds": [0.1, 0.9], "scattering": 0.1},
-        "tiles": {"product": "panel", "impedance_start": {"r0": 0.5}},
+        "tiles": {"product": "panel"},
     },
     "products": {"panel": {"sd": 0.3, "prior": {"mean": 0.3, "sd": 0.1}, "bounds": [0.1, 0.9]}},
     "loudspeakers": {"box": {"b_sd": 0.5}},
@@ -106,7 +106,6 @@ def written(folder: Path, place: str, number: float) -> Path:
     parts = place.split(".")
     own = {
         "materials": "walls" if "scattering" in place else "carpet",
-        "impedance_start": "r0",
     }
     if place.startswith("room.polygons"):
         content["room"] = {"polygons": {"corners": ["a.csv"], "planes": ["b.csv"]}}

@@ -9,7 +9,7 @@ from impedance_cases import exact
 from roomfit.base.findings import Code
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import WallModel, absorption_normal, impedance_of_r0
+from roomfit.impedance.laws import absorption_normal, impedance_of_r0
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from simulated_rooms.impedance_box import (
     SURFACES,
@@ -191,7 +191,7 @@ def test_few_frequencies_and_a_wall_that_does_not_change_with_them_are_enough():
     model = wave_model(scene, f, TAU_S)
     r0 = np.tile(np.array([0.5 - 0.2j, 0.95, 0.3 + 0.3j])[:, None], (1, 5))
     observed = noisy(f, TAU_S, predicted_pressure(model, r0, at_rest(model)), 40.0, rng)
-    walls = {name: WallModel("constant") for name in scene.room.materials}
+    walls = dict.fromkeys(scene.room.materials, "constant")
     settings = ImpedanceSettings(1, model_error=0.02)
     answer = identify_impedance(scene, observed, walls, EXACT, rng=rng, settings=settings)
     assert answer.verdict.word == "identified"

@@ -31,6 +31,7 @@ GONE = {
         f"materials.impedance = {law}": "R0 is a spline, or a constant; leave the key out"
         for law in ("miki", "resonator", "panel", "auto")
     },
+    "materials.impedance_start": "the search has starts at random; leave the key out",
     "settings.posterior_draws": "draws are made with the model itself where "
     "room parameters alone are fitted, and nowhere else; leave the key out",
     "identify.smoothness_per_octave": "bands are fitted by themselves; leave the key out",
@@ -62,7 +63,6 @@ Coordinate = Annotated[float, limited(-1e6, 1e6, "m; the corners of a room are n
 Position = tuple[Coordinate, Coordinate, Coordinate]
 Height = Annotated[float, limited(0.0, 1e4, "m above the lowest point of a room")]
 Number = Annotated[int, limited(0, 10**6, "counted from 0; no file holds more")]
-Start = Annotated[float, limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
 Strength = Annotated[float, limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
 Hertz = Annotated[float, limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
 
@@ -216,8 +216,6 @@ class MaterialTable(Table):
     """Standard deviation of the delay of its reflections in ms; 0: none. Default: 0.2."""
     impedance: Literal["spline", "constant"] | None = None
     """For `roomfit impedance`: what its reflection coefficient is like over frequency."""
-    impedance_start: dict[str, Start | list[Start]] | None = None
-    """Where the search for the impedance begins."""
 
 
 class ProductTable(Table):

@@ -23,11 +23,11 @@ from roomfit.base.whole_files import check_output_folder, sole_writer
 from roomfit.files.campaign import Campaign, input_files, read_campaign, refuse_objects
 from roomfit.files.inputs import positions_m, read_file
 from roomfit.files.rooms import read_room
-from roomfit.files.schema import MaterialTable, MeasurementTable
+from roomfit.files.schema import MeasurementTable
 from roomfit.fit.measurements import from_emission
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import WallModel
+from roomfit.impedance.laws import WallKind
 from roomfit.impedance.result import ImpedanceResult, write_impedance
 from roomfit.impedance.wave_model import GainMode, Nuisances
 from roomfit.room.scene import Room, Scene, distances_m, scene_of
@@ -69,7 +69,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[dict[str, Any], tuple[Findi
     """
     room, room_findings = read_room(campaign.room, positions_m(campaign))
     refuse_objects(campaign, "roomfit impedance")
-    walls = _wall_models(campaign, room.materials)
+    walls = _wall_kinds(campaign, room.materials)
     files = [m for m in campaign.measurements if m.use == "fit"]
     spectra = [s for s in campaign.spectra if s.use == "fit"]
     if not files and not spectra:
@@ -259,25 +259,9 @@ def _nuisances(
     )
 
 
-def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallModel]:
-    """Return how each material's R0 depends on frequency; what is unspecified is a spline."""
-    found = {name: WallModel() for name in materials}
-    for name, table in campaign.materials.items():
-        where = f"{campaign.path}, materials.{name}"
-        what = "the campaign describes a material that the room does not have"
-        check_known(what, name, materials, where=where)
-        with located(where):
-            found[name] = _wall_model(table)
-    return found
-
-
-def _wall_model(table: MaterialTable) -> WallModel:
-    kind, given = table.impedance or "spline", table.impedance_start or {}
-    check_known("unknown key of impedance_start", next(iter({*given} - {"r0"}), "r0"), ("r0",))
-    value = given.get("r0", 0.8)
-    parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
-    if len(parts) != 2:
-        what, needed = "r0 of impedance_start is not a complex number", "a number, or [re, im]"
-        hint = "write r0 = 0.8, or r0 = [0.8, 0.1]"
-        raise InputError(what, found=repr(value), needed=needed, hint=hint)
-    return WallModel(kind, complex(*parts))
+def _wall_kinds(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallKind]:
+    """Return how R0 depends on frequency, of the materials of which that is specified."""
+    what = "the campaign describes a material that the room does not have"
+    for name in campaign.materials:
+        check_known(what, name, materials, where=f"{campaign.path}, materials.{name}")
+    return {name: own.impedance for name, own in campaign.materials.items() if own.impedance}

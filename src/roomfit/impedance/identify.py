@@ -33,7 +33,6 @@ from roomfit.impedance.fit import (
     ImpedanceFit,
     Problem,
     Start,
-    data_rows,
     distance,
     distinct,
     factor_of,
@@ -45,7 +44,7 @@ from roomfit.impedance.fit import (
     source_spectra,
     state_of,
 )
-from roomfit.impedance.laws import Spline, WallModel
+from roomfit.impedance.laws import WallKind, curve_of
 from roomfit.impedance.result import (
     Z95,
     Estimate,
@@ -91,7 +90,7 @@ class ImpedanceSettings:
 def identify_impedance(
     scene: Scene,
     observed: Observed,
-    walls: Mapping[str, WallModel] | None = None,
+    walls: Mapping[str, WallKind] | None = None,
     nuisances: Nuisances | None = None,
     *,
     rng: np.random.Generator,
@@ -111,8 +110,8 @@ def identify_impedance(
         Room, positions (m) and air; its pairs in the order of the pressures.
     observed : Observed
         Damped spectra, shape (n_pairs, n_frequencies); frequencies in Hz, pressures in any unit.
-    walls : mapping of material to WallModel, optional
-        Materials that are left out are splines.
+    walls : mapping of material to "spline" or "constant", optional
+        How R0 is to depend on frequency; materials that are left out are splines.
     nuisances : Nuisances, optional
         What may be wrong about the measurement; left out: positions by 10 mm a coordinate unless
         the scene specifies less, the speed of sound by 1 %, gains known.
@@ -153,7 +152,7 @@ def identify_impedance(
     >>> model = wave_model(scene, f, 0.004)
     >>> p = predicted_pressure(model, np.full((1, 6), 0.6 + 0j), at_rest(model))
     >>> observed = Observed(f, 0.004, p, np.full(p.shape, 1e-4))
-    >>> walls = {"walls": WallModel("constant")}
+    >>> walls = {"walls": "constant"}
     >>> known, rng = Nuisances(position_sd_m=0.0, speed_sd=0.0), np.random.default_rng(1)
     >>> result = identify_impedance(scene, observed, walls, known, rng=rng)
     >>> result.verdict.word, bool(abs(result.materials[0].r0[0] - 0.6) < 0.01)
@@ -183,7 +182,7 @@ def identify_impedance(
 def wave_problem(
     scene: Scene,
     observed: Observed,
-    walls: Mapping[str, WallModel] | None = None,
+    walls: Mapping[str, WallKind] | None = None,
     nuisances: Nuisances | None = None,
     settings: ImpedanceSettings | None = None,
 ) -> Problem:
@@ -201,7 +200,7 @@ def wave_problem(
     factor = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
     factor = factor if settings.model_error is None else settings.model_error
     f = complex_frequency_hz(observed)
-    curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
+    curves = tuple(curve_of(walls.get(name, "spline"), f) for name in scene.room.materials)
     model = wave_model(scene, observed.frequency_hz, observed.tau_s)
     sd = _deviation(scene, observed, factor)
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
@@ -333,7 +332,6 @@ def judged_result(
         nuisances=_found_nuisances(fit, covariance),
         chi2=reduced_chi2(fit),
         model_error=error,
-        condition=_wall_condition(fit),
         agreeing_starts=sum(distance(s.r0, starts[0].r0) <= SAME_WITHIN for s in starts),
         n_starts=len(starts),
         predicted=_predicted_pairs(fit),
@@ -410,30 +408,6 @@ def _predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
     predicted = factor_of(problem, fit.x) * (short + fit.correction)
     spectra = source_spectra(problem, predicted) if problem.nuisances.free_spectra else 1.0
     return np.asarray(predicted * spectra)
-
-
-def _wall_condition(fit: ImpedanceFit) -> float:
-    """Return how unequally the data determine the walls: 1 is equally well, infinite not at all.
-
-    Largest over smallest singular value of the weighted Jacobian by the walls' numbers, without
-    priors of theirs, after what the other unknowns can explain.
-    """
-    # by the numbers of a spline of R0: of a density's, some mean frequencies beyond the data
-    splines = tuple(Spline(c.kind, c.basis) for c in fit.problem.curves)
-    problem = replace(fit.problem, curves=splines)
-    n = problem.layout.curves[-1].stop
-    found = [
-        np.linalg.lstsq(c.basis, r0, rcond=None)[0] for c, r0 in zip(splines, fit.r0, strict=True)
-    ]
-    walls = [part for x in found for part in (x.real, x.imag)]
-    x = np.concatenate((*walls, fit.x[fit.problem.layout.curves[-1].stop :]))
-    _, jacobian = data_rows(problem, x, fit.correction)
-    own, other = jacobian[:, :n], jacobian[:, n:]
-    if other.shape[1]:
-        weak: FloatArray = np.eye(other.shape[1])
-        own = own - other @ np.linalg.solve(other.T @ other + weak, other.T @ own)
-    singular = np.linalg.svd(own, compute_uv=False)
-    return float(singular[0] / max(singular[-1], 1e-300))
 
 
 def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:

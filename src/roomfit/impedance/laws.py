@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 from scipy.interpolate import BSpline
 
 from roomfit.base.arguments import check_known
-from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.wave_model import plane_reflection
 
@@ -161,6 +160,18 @@ class CausalCurve:
 
 
 Curve: TypeAlias = Spline | CausalCurve
+WallKind = Literal["spline", "constant"]  # any smooth course of a passive, causal wall; or none
+
+
+def curve_of(kind: WallKind, frequency_hz: ComplexArray) -> Curve:
+    """Return R0 at complex frequencies, shape (n_frequencies,), as a fit starts with it.
+
+    Frequencies are those of `roomfit.impedance.data.complex_frequency_hz`.
+    """
+    check_known("unknown model of a wall", kind, get_args(WallKind))
+    if kind == "constant":
+        return Spline("constant", np.ones((len(frequency_hz), 1)))
+    return causal_curve(frequency_hz)
 
 
 def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalCurve | Spline:
@@ -242,24 +253,3 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
     cosine, weight = 0.5 * (node + 1.0), 0.5 * weight
     reflected = np.abs(plane_reflection(np.asarray(r0)[..., None], cosine)) ** 2
     return np.asarray(np.sum((1.0 - reflected) * 2.0 * cosine * weight, axis=-1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WallModel:
-    """How R0, the reflection coefficient of one material, is to depend on frequency."""
-
-    kind: str = "spline"  # any smooth course of a passive, causal wall; or "constant"
-    start_r0: complex = 0.8  # where it starts, at most 1 in size
-
-    def __post_init__(self) -> None:
-        check_known("unknown model of a wall", self.kind, ("spline", "constant"))
-        if not abs(self.start_r0) <= 1.0:
-            what = "a wall cannot reflect more than it receives"
-            found, hint = f"a start of |R0| = {abs(self.start_r0):.4g}", "start from 0.8"
-            raise InputError(what, found=found, needed="|R0| <= 1", hint=hint)
-
-    def curve(self, frequency_hz: ComplexArray) -> Curve:
-        """Return R0 at complex frequencies, as a fit starts with it."""
-        if self.kind == "constant":
-            return Spline("constant", np.ones((len(frequency_hz), 1)), self.start_r0)
-        return causal_curve(frequency_hz, self.start_r0)

@@ -119,14 +119,11 @@ class ImpedanceResult:
     seconds: float = 0.0
     nuisances: tuple[Estimate, ...] = ()  # of the measurement, estimated together with the walls
     # Sum of squared residuals over what noise and model error explain; 1 and less is good. This
-    # and the next two are nan where nothing was fitted.
+    # and the next are nan where nothing was fitted.
     chi2: float = math.nan
     # rms error of the image model in this room by the residual, relative to the level, times
     # wavenumber and mean free path
     model_error: float = math.nan
-    # Of the walls' unknowns: largest over smallest singular value of the weighted Jacobian, what
-    # nuisances explain taken out
-    condition: float = math.nan
     agreeing_starts: int = 0  # how many starts led to the lowest minimum
     n_starts: int = 0
     ending: str = "nothing was fitted"
@@ -165,8 +162,7 @@ def _table(result: ImpedanceResult, material: MaterialImpedance) -> Table:
 def _fit_text(result: ImpedanceResult) -> str:
     lines = [
         f"{result.agreeing_starts} of {result.n_starts} starts agree; residual "
-        f"{result.chi2:.2f} of what was expected; condition number {result.condition:.0f}; "
-        f"{result.seconds:.1f} s"
+        f"{result.chi2:.2f} of what was expected; {result.seconds:.1f} s"
     ]
     lines += [
         f"{n.name}: {n.value:.5g} {n.unit}, 95 % {n.lower95:.5g} to {n.upper95:.5g}"
@@ -285,7 +281,6 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
         "fit": {
             "chi2": numbers_or_null(result.chi2),
             "model_error": numbers_or_null(result.model_error),
-            "condition": numbers_or_null(result.condition),
             "starts": result.n_starts,
             "agreeing_starts": result.agreeing_starts,
             "ending": result.ending,
