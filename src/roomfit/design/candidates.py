@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import NamedTuple, get_args
 
@@ -60,14 +60,9 @@ class DesignOptions:
     level: Level = "per-source"  # what measurements will share a gain
 
     def __post_init__(self) -> None:
-        counts = {
-            "candidates": self.n_candidates,
-            "measurements to choose": self.number,
-            "sources": self.most_sources,
-            "draws": self.n_draws,
-        }
-        for name, number in counts.items():
-            check_range(f"the number of {name}", 1 if number is None else number, 1, np.inf)
+        for name in ("number", "most_sources", "n_candidates", "n_draws"):
+            count = getattr(self, name)
+            check_range(name, 1 if count is None else count, 1, np.inf)
         if self.criterion is not None:
             check_known("unknown criterion", self.criterion, get_args(Criterion))
         check_known("unknown level", self.level, get_args(Level))
@@ -187,16 +182,16 @@ def design_candidates(
 
     The pairs of `existing` have been measured; they are put first where they count.
     """
-    sources = (*existing.sources, *_new_sources(existing, options, seed))
-    receivers = (*existing.receivers, *_new_receivers(existing, options, seed))
+    new = _new_points(existing, options, seed)
+    sources, receivers = (*existing.sources, *new[0]), (*existing.receivers, *new[1])
     for kind, points in (("source", sources), ("receiver", receivers)):
         if not points:
-            raise InputError(
-                f"there is no candidate for a {kind}",
-                found="none",
-                needed=f"[{kind}s.NAME] with a position, or positions in [design]",
-                hint=f"add [{kind}s.NAME] with position = [x, y, z]",
+            what, hint = (
+                f"no candidate for a {kind}",
+                f"add [{kind}s.NAME] with position = [x, y, z]",
             )
+            needed = f"[{kind}s.NAME] with a position, or positions in [design]"
+            raise InputError(what, found="none", needed=needed, hint=hint)
         refuse(position_findings(existing.room, points, ()))
     # existing points come first, so that their indices are those of the existing scene
     measured = {(int(s), int(r)) for s, r in existing.pairs}
@@ -225,13 +220,9 @@ def design_candidates(
     )
     if possible.size >= n:
         return scene, rules, ()
-    few = Finding(
-        Code.FEW_CANDIDATES,
-        About(),
-        f"Only {possible.size} pairs of source and receiver are allowed where {n} were asked for.",
-        {"found": possible.size, "asked": n},
-    )
-    return scene, rules, (few,)
+    few = f"Only {possible.size} pairs of source and receiver are allowed where {n} were asked for."
+    evidence = {"found": possible.size, "asked": n}
+    return scene, rules, (Finding(Code.FEW_CANDIDATES, About(), few, evidence),)
 
 
 def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -248,42 +239,35 @@ def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
     return np.sort(np.argsort(rank, kind="stable")[:n])
 
 
-def _new_sources(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
-    positions = np.array(options.sources).reshape(-1, 3)
-    if not len(positions) and options.new_sources:
-        region = region_of(existing.room, options.source_heights_m, options)
-        positions = spread_positions(existing.room, region, options.new_sources, seed)
-    return _named("S", positions, existing.sources, options.position_sd_m)
-
-
-def _new_receivers(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
-    positions = np.array(options.receivers).reshape(-1, 3)
-    if not len(positions):
-        region = region_of(existing.room, options.receiver_heights_m, options)
+def _new_points(
+    existing: Scene, options: DesignOptions, seed: int
+) -> tuple[list[Point], list[Point]]:
+    """Return new sources and receivers, each named by a letter and a number not taken yet."""
+    room, sources, receivers = existing.room, options.sources, options.receivers
+    at_m = [np.array(sources).reshape(-1, 3), np.array(receivers).reshape(-1, 3)]
+    if not sources and options.new_sources:
+        region = region_of(room, options.source_heights_m, options)
+        at_m[0] = spread_positions(room, region, options.new_sources, seed)
+    if not receivers:
+        region = region_of(room, options.receiver_heights_m, options)
         if options.grid_m is not None:
-            positions = grid_positions(existing.room, region, options.grid_m)
+            at_m[1] = grid_positions(room, region, options.grid_m)
         else:  # one for each pair that is wanted: hardly a position serves two sources
-            positions = spread_positions(existing.room, region, options.n_candidates, seed + 1)
-    return _named("R", positions, existing.receivers, options.position_sd_m)
-
-
-def _named(
-    letter: str, positions_m: FloatArray, existing: tuple[Point, ...], sd_m: float
-) -> tuple[Point, ...]:
-    """Return points named by a letter and a number that is not taken yet."""
-    taken = {p.name for p in existing}
-    names = (name for i in count(1) if (name := f"{letter}{i}") not in taken)
-    return tuple(Point(next(names), at.round(3), sd_m) for at in positions_m)
+            at_m[1] = spread_positions(room, region, options.n_candidates, seed + 1)
+    found = []
+    for letter, positions, old in zip(
+        "SR", at_m, (existing.sources, existing.receivers), strict=True
+    ):
+        free = (n for i in count(1) if (n := f"{letter}{i}") not in {p.name for p in old})
+        found.append([Point(next(free), p.round(3), options.position_sd_m) for p in positions])
+    return found[0], found[1]
 
 
 def _used(whole: Scene, pairs: IntArray) -> Scene:
     """Return the scene of some pairs, without the points that none of them uses."""
     used_s, s = np.unique(pairs[:, 0], return_inverse=True)
     used_r, r = np.unique(pairs[:, 1], return_inverse=True)
-    return Scene(
-        whole.room,
-        tuple(whole.sources[i] for i in used_s),
-        tuple(whole.receivers[i] for i in used_r),
-        np.stack((s.reshape(-1), r.reshape(-1)), axis=1),
-        whole.air,
-    )
+    sources = tuple(whole.sources[i] for i in used_s)
+    receivers = tuple(whole.receivers[i] for i in used_r)
+    pairs = np.column_stack((s, r))
+    return replace(whole, sources=sources, receivers=receivers, pairs=pairs)

@@ -38,7 +38,7 @@ def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:
 
 def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
     """Return what design.json holds: lists over bands are as long as bands_hz."""
-    means = mean_widths(design)
+    means, (material, band) = mean_widths(design), widest(design)
     return {
         "format": "roomfit-design",
         "format_version": 1,
@@ -60,7 +60,11 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
             "after_fit": design.after_fit,
             "measured_pairs": design.n_fixed,
         },
-        "widest": _widest(design),
+        "widest": {
+            "material": design.materials[material],
+            "band_hz": float(design.bands.centres_hz[band]),
+            "width95": design.widths[:, material, band],
+        },
         "random": _random(design),
         "candidates": len(design.scene.pairs) - design.n_fixed,
         "assumed": {
@@ -108,15 +112,6 @@ def _by_material(
     n = len(wall_materials(design.scene.room))
     each = list(zip(design.materials, table, strict=True))
     return {of_walls: dict(each[:n])} | ({of_objects: dict(each[n:])} if each[n:] else {})
-
-
-def _widest(design: Design) -> dict[str, Any]:
-    material, band = widest(design)
-    return {
-        "material": design.materials[material],
-        "band_hz": float(design.bands.centres_hz[band]),
-        "width95": design.widths[:, material, band],
-    }
 
 
 def _random(design: Design) -> dict[str, Any]:

@@ -171,12 +171,16 @@ def design(
     )
     if absorption is not None and absorption.chi2_reduced is not None:
         matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
-    pairs = PairInformation(matrices, _shared_gains(candidates, options))
+    own = np.arange(len(matrices))
+    gains = {"per-source": candidates.pairs[:, 0], "per-file": own, "absolute": 0 * own - 1}
+    pairs = PairInformation(matrices, gains[options.level])
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
-    of_fit = _doubts_of_fit(scene, absorption)
+    of_fit: tuple[Finding, ...] = ()
+    if absorption is not None:
+        of_fit = result_doubts(absorption, scene.room.findings, "design") + absorption.findings
     # after a fit one more pair stands beside others, whose positions are not known here
     used = np.array([] if after_fit else [*rules.fixed, *chosen], dtype=np.int64)
     doubts = (*doubts, *plane_findings(select_pairs(candidates, used)))
@@ -222,12 +226,9 @@ def _prior_information(
     absorption.check_materials(names)
     own = absorption.bands
     if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
-        raise InputError(
-            "the absorption is of other bands than those to be fitted",
-            found=", ".join(f"{f:g}" for f in own.centres_hz) + " Hz",
-            needed=", ".join(f"{f:g}" for f in bands.centres_hz) + " Hz",
-            hint="use a result of these bands, or set from_hz and to_hz to its own",
-        )
+        what, hint = "the absorption is of other bands", "use a result of these bands"
+        found, needed = (str(of.centres_hz.tolist()) for of in (own, bands))
+        raise InputError(what, found=found, needed=needed, hint=hint)
     return information_from_fit(complete_priors(names, materials, own), absorption)
 
 
@@ -241,19 +242,6 @@ def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInforma
     decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
     volume, speed = volume_m3(scene.room.mesh), speed_of_sound_m_s(scene.air)
     return float(2.0 * np.sqrt(volume / (speed * decay_s)))
-
-
-def _shared_gains(scene: Scene, options: DesignOptions) -> IntArray:
-    """Return the number of each pair's unknown gain, -1 where levels are known."""
-    number = np.arange(len(scene.pairs))
-    sharing = {"per-source": scene.pairs[:, 0], "per-file": number}
-    return np.asarray(sharing.get(options.level, np.full(number.size, -1)))
-
-
-def _doubts_of_fit(scene: Scene, absorption: AbsorptionPosterior | None) -> tuple[Finding, ...]:
-    if absorption is None:
-        return ()
-    return (*result_doubts(absorption, scene.room.findings, "design"), *absorption.findings)
 
 
 def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
