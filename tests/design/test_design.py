@@ -23,6 +23,7 @@ from roomfit.design.candidates import (
     spread_positions,
 )
 from roomfit.design.choose import (
+    Choice,
     PairInformation,
     Rules,
     allowed,
@@ -116,7 +117,7 @@ def test_the_choice_is_within_two_per_cent_of_the_best_of_all(criterion):
             return float(score(known, information_of(known, found, list(design)), criterion))
 
         best = min(value(d) for d in itertools.combinations(range(10), 3))
-        chosen = value(choose(known, found, rules, 3, criterion, rng=fresh()))
+        chosen = value(choose(Choice(known, found, rules, criterion), 3, rng=fresh()))
         # of a mean log determinant per unknown 0.02 is a width of one per cent
         missed.append((chosen - best) / N if criterion == "determinant" else chosen / best - 1.0)
     assert min(missed) > -1e-9
@@ -131,7 +132,8 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
     known, found = unknowns(rng), pairs(rng, gain.tolist())
     rules = Rules(gain, compatible_positions(at, 1.5), np.arange(30) >= 2, (0, 1), most_sources=2)
     designs = [
-        choose(known, found, rules, 4, c, rng=fresh()) for c in ("determinant", "mean", "worst")
+        choose(Choice(known, found, rules, c), 4, rng=fresh())
+        for c in ("determinant", "mean", "worst")
     ]
     designs += [random_design(rules, 4, rng) for _ in range(20)]
     for design in designs:
@@ -142,7 +144,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
     assert not allowed(rules, [5])[5]
     with pytest.raises(InputError, match="leave no position"):
-        choose(known, found, rules._replace(most_sources=1), 25, "mean", rng=fresh())
+        choose(Choice(known, found, rules._replace(most_sources=1), "mean"), 25, rng=fresh())
 
 
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():

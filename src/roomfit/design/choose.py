@@ -118,13 +118,13 @@ def score(unknowns: Unknowns, information: FloatArray, criterion: Criterion) -> 
     return np.asarray(widths.max(axis=(-1, -2)) + _MEAN_BESIDE_WORST * mean)
 
 
-class _Choice(NamedTuple):
+class Choice(NamedTuple):
     """What is chosen from, and by which criterion."""
 
     unknowns: Unknowns
     pairs: PairInformation
     rules: Rules
-    criterion: Criterion
+    criterion: Criterion = "determinant"
 
     def best_addition(self, chosen: list[int], mask: BoolArray) -> tuple[float, int]:
         """Return the lowest score that the addition of an allowed pair reaches, and which."""
@@ -163,15 +163,7 @@ class _Choice(NamedTuple):
         return now, chosen
 
 
-def choose(
-    unknowns: Unknowns,
-    pairs: PairInformation,
-    rules: Rules,
-    n: int,
-    criterion: Criterion = "determinant",
-    *,
-    rng: np.random.Generator,
-) -> tuple[int, ...]:
+def choose(choice: Choice, n: int, *, rng: np.random.Generator) -> tuple[int, ...]:
     """Return n pairs to measure, the most informative first; refuse more than the rules allow.
 
     Greedily one after the other; then each is exchanged for the best other one, as long as that
@@ -185,8 +177,7 @@ def choose(
            time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
            exact D-optimal designs", Technometrics 22, 315-324 (1980).
     """
-    choice = _Choice(unknowns, pairs, rules, criterion)
-    greedy = choice.greedy(n)
+    rules, greedy = choice.rules, choice.greedy(n)
     designs = [greedy if len(greedy) == n else possible_design(rules, n)]
     for _ in range(_RANDOM_STARTS if n > 1 else 0):
         drawn = random_design(rules, n, rng)
@@ -195,7 +186,7 @@ def choose(
     _, best = min((choice.exchanged(chosen) for chosen in designs), key=lambda one: one[0])
     order: list[int] = []
     while len(order) < n:
-        mask = np.zeros(len(pairs.gain), dtype=np.bool_)
+        mask = np.zeros(len(rules.source), dtype=np.bool_)
         mask[[c for c in best if c not in order]] = True
         order.append(choice.best_addition(order, mask)[1])
     return tuple(order)

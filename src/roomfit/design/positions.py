@@ -19,9 +19,9 @@ from roomfit.base.table import Shown
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress, part
 from roomfit.design.candidates import DesignOptions, design_candidates
 from roomfit.design.choose import (
+    Choice,
     Criterion,
     PairInformation,
-    Rules,
     choose,
     information_of,
     material_widths,
@@ -177,7 +177,8 @@ def design(
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
-    chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
+    choice = Choice(known.unknowns, pairs, rules, criterion)
+    chosen = choose(choice, n, rng=rng)
     of_fit: tuple[Finding, ...] = ()
     if absorption is not None:
         of_fit = result_doubts(absorption, scene.room.findings, "design") + absorption.findings
@@ -192,10 +193,8 @@ def design(
         bands=known.bands,
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
-        widths=_widths(scene, known, pairs, rules, chosen),
-        random_means=_random_means(
-            scene, known, pairs, rules, (options.n_random, n + 1), settings.seed
-        ),
+        widths=_widths(scene, known, choice, chosen),
+        random_means=_random_means(scene, known, choice, n, options.n_random, settings.seed),
         criterion=criterion,
         absorption=np.vstack((middle[: len(middle) - len(areas_m2)], areas_m2)),
         n_draws=len(known.draws),
@@ -260,11 +259,7 @@ def _in_m2(scene: Scene, shares: FloatArray) -> FloatArray:
 
 
 def _widths(
-    scene: Scene,
-    known: PriorInformation,
-    pairs: PairInformation,
-    rules: Rules,
-    chosen: tuple[int, ...],
+    scene: Scene, known: PriorInformation, choice: Choice, chosen: tuple[int, ...]
 ) -> FloatArray:
     """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands).
 
@@ -272,8 +267,8 @@ def _widths(
     """
     middle, found = known.typical, []
     for i in range(len(chosen) + 1):
-        information = information_of(known.unknowns, pairs, [*rules.fixed, *chosen[:i]])
-        widths = material_widths(known.unknowns, information)
+        made = [*choice.rules.fixed, *chosen[:i]]
+        widths = material_widths(known.unknowns, information_of(known.unknowns, choice.pairs, made))
         half = 0.5 * np.minimum(widths, 2.0 * (1.0 - middle) - 1e-9)
         areas_m2 = _in_m2(scene, middle + half) - _in_m2(scene, middle - half)
         found.append(np.vstack((widths[: len(widths) - len(areas_m2)], areas_m2)))
@@ -281,19 +276,14 @@ def _widths(
 
 
 def _random_means(
-    scene: Scene,
-    known: PriorInformation,
-    pairs: PairInformation,
-    rules: Rules,
-    shape: tuple[int, int],
-    seed: int,
+    scene: Scene, known: PriorInformation, choice: Choice, n: int, n_random: int, seed: int
 ) -> FloatArray:
-    """Return mean widths of random designs, (n_random, n_chosen + 1), NaN where one ends early."""
-    rng, out = np.random.default_rng(seed), np.full(shape, np.nan)
+    """Return mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
+    rng, out = np.random.default_rng(seed), np.full((n_random, n + 1), np.nan)
     compared = _compared(scene, known.unknowns.number >= 0)
     for row in out:
-        drawn = random_design(rules, shape[1] - 1, rng)
-        widths = _widths(scene, known, pairs, rules, drawn)
+        drawn = random_design(choice.rules, n, rng)
+        widths = _widths(scene, known, choice, drawn)
         row[: len(drawn) + 1] = widths[:, compared].mean(axis=(1, 2))
     return out
 

@@ -34,7 +34,6 @@ from roomfit.impedance.wave_model import (
     State,
     WaveModel,
     at_frequencies,
-    at_rest,
     gradients,
     predicted_pressure,
 )
@@ -45,10 +44,8 @@ from roomfit.solver import Ending, MarquardtSettings, Minimum, levenberg_marquar
 class Moves(NamedTuple):
     """Coordinates of sources, or of receivers, that may move."""
 
-    point: IntArray  # (n,)
-    axis: IntArray  # (n,), 0 to 2
-    sd_m: FloatArray  # (n,)
     place: slice  # in the vector of all unknowns
+    shift_m: FloatArray  # (n, n_points, 3), of all points by one unit of each coordinate
 
 
 class Label(NamedTuple):
@@ -107,11 +104,11 @@ def layout_of(problem: Problem) -> Layout:
     def moves(points: tuple[Point, ...], used: IntArray) -> Moves:
         specified = [p.position_sd_m for p in points]
         sd = np.array([nuisances.position_sd_m if s is None else s for s in specified])
-        moving = np.array([i for i in np.unique(used) if sd[i] > 0.0], dtype=np.int64)
+        moving = [i for i in np.unique(used) if sd[i] > 0.0]
         for i in moving:
             labels.extend(Label(f"{axis} of {points[i].name}", "m", float(sd[i])) for axis in "xyz")
-        axes = np.tile(np.arange(3), len(moving))
-        return Moves(np.repeat(moving, 3), axes, np.repeat(sd[moving], 3), take(len(axes)))
+        shift_m: FloatArray = np.kron(np.diag(sd)[moving], np.eye(3)).reshape(-1, len(sd), 3)
+        return Moves(take(len(shift_m)), shift_m)
 
     curves = tuple(take(len(c.start)) for c in problem.curves)
     source = moves(scene.sources, scene.pairs[:, 0])
@@ -176,10 +173,10 @@ def r0_of(problem: Problem, x: FloatArray) -> ComplexArray:
 
 def state_of(problem: Problem, x: FloatArray) -> State:
     """Return the shifts of sources and receivers and the change of the speed of sound."""
-    layout, (source, receiver, _) = problem.layout, at_rest(problem.model)
-    for shift, own in ((source, layout.source), (receiver, layout.receiver)):
-        shift[own.point, own.axis] = x[own.place] * own.sd_m
-    return State(source, receiver, float(np.sum(x[layout.speed])) * problem.nuisances.speed_sd)
+    layout, speed = problem.layout, float(np.sum(x[problem.layout.speed]))
+    moves = (layout.source, layout.receiver)
+    source_m, receiver_m = (np.tensordot(x[own.place], own.shift_m, 1) for own in moves)
+    return State(source_m, receiver_m, speed * problem.nuisances.speed_sd)
 
 
 def factor_of(problem: Problem, x: FloatArray) -> ComplexArray:
@@ -258,9 +255,7 @@ def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
         (layout.source, pairs[:, 0], g.by_source),
         (layout.receiver, pairs[:, 1], g.by_receiver),
     ):
-        for n, (point, axis, sd) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
-            own = np.flatnonzero(column == point)
-            slope[own, :, n] = by[own, axis] * sd
+        slope[:, :, moves.place] = np.einsum("paf,npa->pfn", by, moves.shift_m[:, column])
     if layout.speed.stop > layout.speed.start:
         slope[:, :, layout.speed.start] = g.by_speed * problem.nuisances.speed_sd
     slope[:, :, layout.factor] = g.pressure[:, :, None] * layout.exponent
