@@ -107,7 +107,8 @@ def layout_of(problem: Problem) -> Layout:
         moving = [i for i in np.unique(used) if sd[i] > 0.0]
         for i in moving:
             labels.extend(Label(f"{axis} of {points[i].name}", "m", float(sd[i])) for axis in "xyz")
-        shift_m: FloatArray = np.kron(np.diag(sd)[moving], np.eye(3)).reshape(-1, len(sd), 3)
+        shift_m = np.asarray(np.kron(np.diag(sd)[moving], np.eye(3)), dtype=np.float64)
+        shift_m = shift_m.reshape(-1, len(sd), 3)
         return Moves(take(len(shift_m)), shift_m)
 
     curves = tuple(take(len(c.start)) for c in problem.curves)
