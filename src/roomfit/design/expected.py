@@ -14,25 +14,25 @@ from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.findings import Code, Finding
 from roomfit.base.forks import in_forks, in_this_process
-from roomfit.base.typing import FloatArray, IntArray, Progress
+from roomfit.base.typing import FloatArray, Progress
 from roomfit.design.candidates import DesignOptions
 from roomfit.design.prior import PriorInformation
 from roomfit.fit.scattering import band_factors, specified_scattering
 from roomfit.fit.trace_plan import TracePlan, plan_trace
 from roomfit.fit.traced_room import scene_decay_s
-from roomfit.model.binned import bin_paths, in_band
+from roomfit.model.binned import BinnedPaths, bin_paths, in_band
 from roomfit.model.energy import EnergyTerm, Observation, fine_edges_s, in_air
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.patterns import Directivities
 from roomfit.model.problem import Objective
-from roomfit.model.weighing import EnergyRows, first_rows, weigh
+from roomfit.model.weighing import first_rows, weigh
 from roomfit.model.windows import window_edges_s
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, distances_m, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals import filters
-from roomfit.tracing.paths import Paths, TraceSettings, concatenate, paths_of_pairs, select
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
 from roomfit.tracing.trace import trace
 
 # As in a fit: a window is used down to where the decay stands 4 dB above the noise.
@@ -46,15 +46,15 @@ _MOST_CAUGHT, _FEWEST_RAYS = 4e6, 2_000
 _EARLY_S, _EARLY_PERIODS, _LATE_IMAGES = 0.2, 8.0, 100_000
 
 
-class _ExpectedFit(NamedTuple):
-    """How measurements of the pairs of a scene will be made and fitted."""
+class _Expected(NamedTuple):
+    """How measurements will be made and fitted."""
 
-    scene: Scene  # with all pairs
     known: PriorInformation
     options: DesignOptions
     directivities: Directivities
     plan: TracePlan
-    kernel: filters.SpreadingKernel
+    fineness: TraceSettings  # of what is traced for each pair
+    late: Paths | None  # that all pairs have in common
 
 
 def information_of_candidates(
@@ -70,36 +70,33 @@ def information_of_candidates(
     Of shape (n_pairs, n_draws, n_bands, n + 1, n + 1): about the n unknown absorptions, as free
     numbers, and the log of the pair's gain.
     """
-    fit = _expected_fit(scene, known, options, settings, directivities)
-    fineness, late = _late_images(fit)
+    plan = _plan(scene, known, options, settings)
+    late = _late_images(scene, known, plan)
+    fit = _Expected(known, options, directivities, plan, *late)
     # rays serve all receivers of a source; without rays every pair is a group by itself
-    names = scene.pairs[:, 0] if late is None else np.arange(len(scene.pairs))
+    names = scene.pairs[:, 0] if fit.late is None else np.arange(len(scene.pairs))
     groups = [np.flatnonzero(names == name) for name in np.unique(names)]
     shown = in_this_process(progress)
 
-    def of_group(number: int) -> tuple[list[FloatArray], tuple[Finding, ...]]:
-        found = _of_group(fit, groups[number], fineness, late)
+    def of_group(number: int) -> tuple[FloatArray, tuple[Finding, ...]]:
+        found = _of_group(fit, select_pairs(scene, groups[number]))
         if shown is not None:
             shown((number + 1) / len(groups))
         return found
 
-    findings, found = list(fit.plan.findings), list[FloatArray]()
+    findings, found = list(plan.findings), list[FloatArray]()
     for own, doubts in in_forks(of_group, range(len(groups))):
         reported = {f.code for f in findings}
         findings += [f for f in doubts if f.code not in reported]
-        found += own
+        found.append(own)
     # back from the order of the sources to that of the pairs
-    return np.stack(found)[np.argsort(np.concatenate(groups))], tuple(findings)
+    return np.concatenate(found)[np.argsort(np.concatenate(groups))], tuple(findings)
 
 
-def _expected_fit(
-    scene: Scene,
-    known: PriorInformation,
-    options: DesignOptions,
-    settings: Settings,
-    directivities: Directivities,
-) -> _ExpectedFit:
-    """Return how pairs will be fitted: traced for as long as they will be observed.
+def _plan(
+    scene: Scene, known: PriorInformation, options: DesignOptions, settings: Settings
+) -> TracePlan:
+    """Return how to trace for as long as pairs will be observed.
 
     A ray of length l crosses a sphere of radius r in a volume V ``pi r**2 l / V`` times on average:
     there are so few rays that the receivers of one source catch some million at most.
@@ -113,21 +110,21 @@ def _expected_fit(
     length_m = own.duration_s * speed_of_sound_m_s(scene.air)
     crossings = np.pi * own.receiver_radius_m**2 * length_m / volume_m3(scene.room.mesh)
     affordable = int(_MOST_CAUGHT / (crossings * int(np.bincount(scene.pairs[:, 0]).max())))
-    own = replace(own, n_rays=min(own.n_rays, max(affordable, _FEWEST_RAYS)))
-    plan, kernel = replace(plan, settings=own), filters.spreading_kernel(known.bands)
-    return _ExpectedFit(scene, known, options, directivities, plan, kernel)
+    n_rays = min(own.n_rays, max(affordable, _FEWEST_RAYS))
+    return replace(plan, settings=replace(own, n_rays=n_rays))
 
 
-def _late_images(fit: _ExpectedFit) -> tuple[TraceSettings, Paths | None]:
+def _late_images(
+    scene: Scene, known: PriorInformation, plan: TracePlan
+) -> tuple[TraceSettings, Paths | None]:
     """Return how to trace each pair of a box without rays, and late images of one for all of them.
 
     What is late is so much that its energies are alike wherever source and receiver stand: every
     n-th image of the first pair, of n times the weight. None where there are rays.
     """
-    scene, plan = fit.scene, fit.plan
     if plan.settings.n_rays:
         return plan.settings, None
-    early_s = _EARLY_S + _EARLY_PERIODS / float(fit.known.bands.centres_hz[0])
+    early_s = _EARLY_S + _EARLY_PERIODS / float(known.bands.centres_hz[0])
     early_s = min(early_s, plan.settings.duration_s)
     paths = trace(select_pairs(scene, slice(0, 1)), plan.settings, plan.scattering).paths
     far = np.flatnonzero(paths.length_m > early_s * speed_of_sound_m_s(scene.air))
@@ -136,60 +133,34 @@ def _late_images(fit: _ExpectedFit) -> tuple[TraceSettings, Paths | None]:
     return replace(plan.settings, duration_s=early_s), late
 
 
-def _of_group(
-    fit: _ExpectedFit, at: IntArray, fineness: TraceSettings, late: Paths | None
-) -> tuple[list[FloatArray], tuple[Finding, ...]]:
-    """Return the information of some pairs that are traced together, and findings."""
-    own, known = select_pairs(fit.scene, at), fit.known
-    found = trace(own, fineness, fit.plan.scattering)
-    paths = found.paths if late is None else concatenate((found.paths, late))
-    scattering = specified_scattering(
-        known.priors, fit.plan.scattering.coefficients, len(known.bands)
-    )
+def _of_group(fit: _Expected, own: Scene) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return the information of the pairs of a scene, which are traced together, and findings."""
+    known, plan = fit.known, fit.plan
+    found = trace(own, fit.fineness, plan.scattering)
+    paths = found.paths if fit.late is None else concatenate((found.paths, fit.late))
+    n_bands, traced = len(known.bands), plan.scattering.coefficients
+    scattering = specified_scattering(known.priors, traced, n_bands)
     factors, degenerate = band_factors(fit.directivities, own, known.bands, paths, scattering)
-    of_pair = paths_of_pairs(paths)
+    binned = bin_paths(own, known.bands, paths, plan.settings.duration_s, factors)
+    one, zero, free = np.ones(1), np.zeros(1), np.ones(1, dtype=np.bool_)
+    gain = Block("gain", ("level",), "log", one, free, zero, np.full(1, np.inf), zero, one)
 
-    def information(pair: int) -> FloatArray:
-        caught = select(paths, of_pair[pair])
-        stands = None if caught.objects is None else caught.objects[pair : pair + 1]
-        caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair), objects=stands)
-        weights = None if factors is None else factors[:, of_pair[pair]]
-        alone = select_pairs(own, slice(pair, pair + 1))
-        objectives = _objectives(fit, alone, caught, weights)
-        return np.array(
-            [
-                [o.information(draw[:, band]) for band, o in enumerate(objectives)]
-                for draw in known.draws
-            ]
-        )
+    def of_band(band: int) -> list[list[FloatArray]]:
+        block = absorption_block(known.priors, band, 0.2)
+        unknown = Parameters((replace(block, start=known.typical[:, band]), gain))
+        coarse = in_band(binned, float(known.bands.centres_hz[band]))
+        terms = [_expected_term(fit, own, pair, band, coarse) for pair in range(len(own.pairs))]
+        objectives = [Objective(unknown, (term,)) for term in terms]
+        return [[o.information(draw[:, band]) for draw in known.draws] for o in objectives]
 
     # a candidate near a wall is no doubt about anything
     doubts = [f for f in found.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
-    return in_forks(information, range(at.size)), (*doubts, *degenerate)
-
-
-def _objectives(
-    fit: _ExpectedFit, alone: Scene, paths: Paths, factors: FloatArray | None
-) -> list[Objective]:
-    """Return the objective of every band for the only pair of a scene."""
-    known, one = fit.known, np.ones(1)
-    binned = bin_paths(alone, known.bands, paths, fit.plan.settings.duration_s, factors)
-    gain = Block(
-        "gain", ("level",), "log", one, np.ones(1, dtype=np.bool_), 0.0 * one, np.full(1, np.inf),
-        0.0 * one, one,
-    )  # fmt: skip
-    objectives = []
-    for band, centre_hz in enumerate(known.bands.centres_hz.tolist()):
-        block = absorption_block(known.priors, band, 0.2)
-        block = replace(block, start=known.typical[:, band])
-        coarse = in_band(binned, centre_hz)
-        term = _expected_term(fit, alone, band, coarse.edges_s, coarse.rows[0])
-        objectives.append(Objective(Parameters((block, gain)), (term,)))
-    return objectives
+    each = np.array(in_forks(of_band, range(n_bands)))
+    return np.moveaxis(each, 0, 2), (*doubts, *degenerate)
 
 
 def _expected_term(
-    fit: _ExpectedFit, alone: Scene, band: int, edges_s: FloatArray, rows: EnergyRows
+    fit: _Expected, own: Scene, pair: int, band: int, coarse: BinnedPaths
 ) -> EnergyTerm:
     """Return the windows of one pair that has not been measured yet.
 
@@ -197,13 +168,14 @@ def _expected_term(
     is observed. The "measured" energy is that noise: only the variance of predictions is asked of
     them, not how well they fit.
     """
-    c, bands, kernel = speed_of_sound_m_s(alone.air), fit.known.bands, fit.kernel
+    c, bands, edges_s = speed_of_sound_m_s(own.air), fit.known.bands, coarse.edges_s
+    kernel, rows = filters.spreading_kernel(bands), coarse.rows[pair]
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
     width_hz = float(filters.statistical_bandwidth_hz(one)[0])
-    air = attenuation_per_m(alone.air, one)
+    air = attenuation_per_m(own.air, one)
     energy = weigh(rows, fit.known.typical[:, band : band + 1], air)[0]
     usable_s, noise_per_s = _expected_noise(energy, edges_s, fit.options.decay_range_db)
-    direct_s = float(distances_m(alone)[0] / c)
+    direct_s = float(distances_m(own)[pair] / c)
     edges = window_edges_s(direct_s, usable_s, width_hz, periods=_WINDOW_PERIODS)
     fine = fine_edges_s(edges, width_hz)
     centres = 0.5 * (edges_s[1:] + edges_s[:-1])
