@@ -17,15 +17,15 @@ def exact(data, name="exact_M3"):
 
 def nearest(curve, r0, weak=1e-4):
     """Return the numbers of a curve that come nearest to some R0, smooth where it does not say."""
-    n = len(curve.start)
+    n = len(curve.start())
     rough = weak * np.vstack([curve.roughness, np.eye(n)])
 
     def rows(x):
         off = curve.values(x)[0] - r0
-        return np.concatenate([off.real, off.imag, rough @ (x - curve.start)])
+        return np.concatenate([off.real, off.imag, rough @ (x - curve.start())])
 
     def slopes(x):
         by = curve.values(x)[1]
         return np.vstack([by.real, by.imag, rough])
 
-    return least_squares(rows, curve.start, slopes, max_nfev=60).x
+    return least_squares(rows, curve.start(), slopes, max_nfev=60).x

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 from pydantic_core import PydanticUndefined
 
 from roomfit.base.air import Air
+from roomfit.base.arguments import check_range
 from roomfit.base.bands import Bands, bands_between, bands_of
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
@@ -729,14 +730,9 @@ class Campaign(Table):
     def bands(self) -> Bands:
         """Bands to fit."""
         own = self.identify
-        if own.from_hz > own.to_hz:
-            raise InputError(
-                "the lowest band lies above the highest",
-                where=f"{self.path}, identify",
-                found=f"from_hz = {own.from_hz:g}, to_hz = {own.to_hz:g}",
-                needed="from_hz <= to_hz",
-                hint="exchange the two",
-            )
+        check_range(
+            "from_hz, at most to_hz,", own.from_hz, 0.0, own.to_hz, where=f"{self.path}, identify"
+        )
         with located(f"{self.path}, identify.bands"):
             if isinstance(own.bands, str):
                 return bands_between(own.bands, own.from_hz, own.to_hz)

@@ -196,7 +196,7 @@ def _grid(
     table, where = campaign.impedance, f"{campaign.path}, impedance"
     low, high, step = table.from_hz, table.to_hz, table.step_hz
     if not read:
-        check_range("from_hz", low, 0.0, high, "Hz", where)
+        check_range("from_hz, at most to_hz,", low, 0.0, high, where=where)
         n, what = (high - low) / step, f"the number of frequencies, one every {step:g} Hz,"
         check_range(what, n, 0.0, _MOST_FREQUENCIES, where=f"{where}.step_hz")
         return np.arange(low, high + 0.5 * step, step), table.tau_s

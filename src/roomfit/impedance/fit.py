@@ -111,7 +111,7 @@ def layout_of(problem: Problem) -> Layout:
         shift_m = shift_m.reshape(-1, len(sd), 3)
         return Moves(take(len(shift_m)), shift_m)
 
-    curves = tuple(take(len(c.start)) for c in problem.curves)
+    curves = tuple(take(len(c.start())) for c in problem.curves)
     source = moves(scene.sources, scene.pairs[:, 0])
     receiver = moves(scene.receivers, scene.pairs[:, 1])
     if nuisances.speed_sd > 0.0:
@@ -158,7 +158,7 @@ def start_of(problem: Problem) -> FloatArray:
     """Return the unknowns with which a fit starts, shape (n_unknowns,)."""
     x = np.zeros(problem.layout.size)
     for place, curve in zip(problem.layout.curves, problem.curves, strict=True):
-        x[place] = curve.start
+        x[place] = curve.start()
     return x
 
 
@@ -279,8 +279,8 @@ def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Row
         own = curve.roughness / roughness_sd[i]
         blocks.append((place, own, own @ x[place]))
         if math.isfinite(curve.prior_sd):
-            eye = np.eye(len(curve.start)) / curve.prior_sd
-            blocks.append((place, eye, eye @ (x[place] - curve.start)))
+            eye = np.eye(place.stop - place.start) / curve.prior_sd
+            blocks.append((place, eye, eye @ (x[place] - curve.start())))
         r0, slope = curve.values(x[place])
         if curve.kind == "constant":
             r0, slope = r0[:1], slope[:1]
@@ -547,8 +547,8 @@ def multistart(
 ) -> tuple[Start, ...]:
     """Return where the usual start and random ones lead, lowest cost first.
 
-    The usual start is that of the curves (0.8 unless specified); random ones are even over the disc
-    of passive walls, each material for itself. All at fewer frequencies, with plane waves.
+    The usual start is R0 = 0.8; random ones are even over the disc of passive walls, each material
+    for itself. All at fewer frequencies, with plane waves.
     """
     thin = thinned(problem)
     found = []
@@ -557,7 +557,7 @@ def multistart(
         if number > 0:
             for place, curve in zip(thin.layout.curves, thin.curves, strict=True):
                 r0 = _LARGEST_START * np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random())
-                x[place] = replace(curve, start_r0=complex(r0)).start
+                x[place] = curve.start(complex(r0))
         end = continuation(thin, x, gain=1e-5)
         found.append(Start(end.x, r0_of(thin, end.x), end.cost))
         if progress is not None:

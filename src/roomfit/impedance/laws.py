@@ -17,6 +17,7 @@ from roomfit.base.arguments import check_known
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.wave_model import plane_reflection
 
+START_R0 = 0.8 + 0.0j  # where a search begins: most walls are hard
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0
 # Fewer frequencies than a cubic spline has coefficients are free, each for itself.
@@ -29,13 +30,10 @@ class Spline:
 
     kind: str  # "spline", or "constant" where the one function is 1
     basis: FloatArray  # (n_frequencies, n_functions)
-    start_r0: complex = 0.8
     prior_sd: ClassVar[float] = math.inf  # of each number about its start
 
-    @property
-    def start(self) -> FloatArray:
-        n = self.basis.shape[1]
-        return np.repeat(np.array([self.start_r0.real, self.start_r0.imag], np.float64), n)
+    def start(self, r0: complex = START_R0) -> FloatArray:
+        return np.repeat(np.array([r0.real, r0.imag]), self.basis.shape[1])
 
     @property
     def roughness(self) -> FloatArray:
@@ -57,15 +55,15 @@ def _complex(basis: FloatArray, x: FloatArray) -> ComplexArray:
     return np.asarray(basis @ (x[:n] + 1j * x[n:]))
 
 
-def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
+def spline(frequency_hz: FloatArray) -> Spline:
     """Return a cubic B-spline over the logarithm of frequency.
 
     Knots every quarter octave, but at least 25 Hz apart and no more than the frequencies allow; of
     fewer than four frequencies each is free.
     """
     if len(frequency_hz) < _LEAST_COUPLED:
-        return Spline("spline", np.eye(len(frequency_hz)), start_r0)
-    return Spline("spline", _design(_knots_hz(frequency_hz), frequency_hz)[0], start_r0)
+        return Spline("spline", np.eye(len(frequency_hz)))
+    return Spline("spline", _design(_knots_hz(frequency_hz), frequency_hz)[0])
 
 
 def _knots_hz(frequency_hz: FloatArray) -> FloatArray:
@@ -121,13 +119,10 @@ class CausalCurve:
     density: FloatArray  # (n_points, n_coefficients), the spline of its logarithm
     log_coefficients: FloatArray  # (n_coefficients,), logarithm of v over the middle of the band
     basis: FloatArray  # (n_frequencies, n_functions), of the departure
-    start_r0: complex = 0.8
     prior_sd: ClassVar[float] = 1.0
 
-    @property
-    def start(self) -> FloatArray:
+    def start(self, r0: complex = START_R0) -> FloatArray:
         """A density that is a power of v gives an admittance of one phase at all frequencies."""
-        r0 = complex(self.start_r0)
         admittance = (1.0 - r0) / (1.0 + r0 if abs(1.0 + r0) > 1e-3 else 1e-3)
         size = float(np.clip(abs(admittance), 1e-3, 1e3))
         power = float(np.clip(np.angle(admittance) / (0.5 * np.pi), -_STEEPEST, _STEEPEST))
@@ -174,7 +169,7 @@ def curve_of(kind: WallKind, frequency_hz: ComplexArray) -> Curve:
     return causal_curve(frequency_hz)
 
 
-def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalCurve | Spline:
+def causal_curve(frequency_hz: ComplexArray) -> CausalCurve | Spline:
     """Return any smooth course of R0 that a passive, causal wall can have, or nearly so.
 
     The density has the knots of `spline` within the frequencies, two an octave over three octaves
@@ -183,7 +178,7 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
     `frequency_hz`, shape (n_frequencies,): by `roomfit.impedance.data.complex_frequency_hz`.
     """
     f = np.asarray(frequency_hz.real)
-    free = spline(f, start_r0)
+    free = spline(f)
     if len(f) < _LEAST_COUPLED:
         return free
     low, high = float(f[0]), float(f[-1])
@@ -213,7 +208,6 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
         density,
         at - 0.5 * math.log(low * high),
         free.basis,
-        start_r0,
     )
 
 
