@@ -68,7 +68,7 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
         ('file = "a.wav"', 'file = "a.wav"\nuse = "validate"', "none is left to fit"),
         ("shoebox = [5.0, 4.0, 3.0]", "", r"exactly one description(?s:.*)none"),
         ("shoebox = [5.0, 4.0, 3.0]", 'shoebox = [5.0, 4.0, 3.0]\nfile = "r.obj"', "exactly one"),
-        ("[room]", "[identify]\nfrom_hz = 900\nto_hz = 300\n[room]", "above the highest"),
+        ("[room]", "[identify]\nfrom_hz = 900\nto_hz = 300\n[room]", "at most to_hz"),
         ("[room]", "[identify]\nbands = [120, 240]\n[room]", "not a centre"),
         ("[room]", "[identify]\nmethod = 'posterior'\n[room]", r"any more(?s:.*)profiles"),
         ("[room]", "[identify]\nsmoothness_per_octave = 0.5\n[room]", r"by themselves"),

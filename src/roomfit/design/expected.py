@@ -14,8 +14,9 @@ from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.findings import Code, Finding
 from roomfit.base.forks import in_forks, in_this_process
-from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.typing import FloatArray, IntArray, Progress
 from roomfit.design.candidates import DesignOptions
+from roomfit.design.choose import PairInformation
 from roomfit.design.prior import PriorInformation
 from roomfit.fit.scattering import band_factors, specified_scattering
 from roomfit.fit.trace_plan import TracePlan, plan_trace
@@ -64,12 +65,8 @@ def information_of_candidates(
     settings: Settings,
     directivities: Directivities,
     progress: Progress | None = None,
-) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return the Fisher information of every pair of a scene, those of one source traced at once.
-
-    Of shape (n_pairs, n_draws, n_bands, n + 1, n + 1): about the n unknown absorptions, as free
-    numbers, and the log of the pair's gain.
-    """
+) -> tuple[PairInformation, tuple[Finding, ...]]:
+    """Return what every pair of a scene would tell, those of one source traced at once."""
     plan = _plan(scene, known, options, settings)
     late = _late_images(scene, known, plan)
     fit = _Expected(known, options, directivities, plan, *late)
@@ -90,7 +87,11 @@ def information_of_candidates(
         findings += [f for f in doubts if f.code not in reported]
         found.append(own)
     # back from the order of the sources to that of the pairs
-    return np.concatenate(found)[np.argsort(np.concatenate(groups))], tuple(findings)
+    matrices = np.concatenate(found)[np.argsort(np.concatenate(groups))]
+    gain: IntArray = np.full(len(matrices), -1)
+    if options.level != "absolute":
+        gain = scene.pairs[:, 0] if options.level == "per-source" else np.arange(len(matrices))
+    return PairInformation(matrices, gain), tuple(findings)
 
 
 def _plan(

@@ -21,7 +21,6 @@ from roomfit.design.candidates import DesignOptions, design_candidates
 from roomfit.design.choose import (
     Choice,
     Criterion,
-    PairInformation,
     choose,
     information_of,
     material_widths,
@@ -158,7 +157,7 @@ def design(
     options = DesignOptions() if options is None else options
     settings = Settings() if settings is None else settings
     after_fit = absorption is not None
-    known = _prior_information(scene, materials, bands, absorption, options, settings)
+    known, of_fit = _prior_information(scene, materials, bands, absorption, options, settings)
     distance_m = _source_distance_m(scene, options, known)
     candidates, rules, few = design_candidates(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
@@ -166,22 +165,17 @@ def design(
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
     possible_design(rules, n)  # before all is computed
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
-    matrices, doubts = information_of_candidates(
+    pairs, doubts = information_of_candidates(
         candidates, known, options, settings, directivities or {}, part(progress, 0.0, 0.95)
     )
     if absorption is not None and absorption.chi2_reduced is not None:
-        matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
-    own = np.arange(len(matrices))
-    gains = {"per-source": candidates.pairs[:, 0], "per-file": own, "absolute": 0 * own - 1}
-    pairs = PairInformation(matrices, gains[options.level])
+        inflation = np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
+        pairs = pairs._replace(matrices=pairs.matrices / inflation)
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
     choice = Choice(known.unknowns, pairs, rules, criterion)
     chosen = choose(choice, n, rng=rng)
-    of_fit: tuple[Finding, ...] = ()
-    if absorption is not None:
-        of_fit = result_doubts(absorption, scene.room.findings, "design") + absorption.findings
     # after a fit one more pair stands beside others, whose positions are not known here
     used = np.array([] if after_fit else [*rules.fixed, *chosen], dtype=np.int64)
     doubts = (*doubts, *plane_findings(select_pairs(candidates, used)))
@@ -215,20 +209,22 @@ def _prior_information(
     absorption: AbsorptionPosterior | None,
     options: DesignOptions,
     settings: Settings,
-) -> PriorInformation:
+) -> tuple[PriorInformation, tuple[Finding, ...]]:
+    """Return what is known before the measurements to be chosen, and what is doubtful of it."""
     names = scene.room.materials
     if absorption is None:
         bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
         priors = complete_priors(names, materials, bands)
         rng = np.random.default_rng(settings.seed)
-        return information_from_priors(priors, bands, options.n_draws, rng)
+        return information_from_priors(priors, bands, options.n_draws, rng), ()
     absorption.check_materials(names)
     own = absorption.bands
     if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
         what, hint = "the absorption is of other bands", "use a result of these bands"
         found, needed = (str(of.centres_hz.tolist()) for of in (own, bands))
         raise InputError(what, found=found, needed=needed, hint=hint)
-    return information_from_fit(complete_priors(names, materials, own), absorption)
+    doubts = result_doubts(absorption, scene.room.findings, "design") + absorption.findings
+    return information_from_fit(complete_priors(names, materials, own), absorption), doubts
 
 
 def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInformation) -> float:

@@ -12,7 +12,7 @@ from typing import Any, TypedDict, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.base.arguments import check_known, check_shape
+from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.door import check_files, read_bytes
 from roomfit.base.errors import InputError, located
@@ -240,8 +240,14 @@ def _interpolated(
 
     `centres_hz`: in any order. Beyond the lowest and the highest, the nearest value.
     """
-    with located(where):
-        check_shape("values, one for each centre", np.array(values), (len(centres_hz),))
+    if len(centres_hz) != len(values):
+        raise InputError(
+            "not as many values as centres",
+            where=where,
+            found=f"{len(values)} values and {len(centres_hz)} centres",
+            needed="one value for each centre",
+            hint="add the values that lack, or leave centres out that have none",
+        )
     order = np.argsort(centres_hz)
     at = np.log(np.array(centres_hz)[order])
     return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(values)[order]))
