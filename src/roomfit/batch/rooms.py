@@ -52,7 +52,7 @@ _COMPARED = ("measured", "predicted", "mean_of_others", "jnd")
 _COLUMNS: tuple[str | Column, ...] = (
     *("room", "status", "result", "identifiable", "values"),
     *(Column(f"room_mean_{name}", ".4f") for name in ("absorption", "lower95", "upper95")),
-    *(Column(f"T_{name}_s", ".3f") for name in ("measured", "predicted")),
+    *("decay_time", Column("T_measured_s", ".3f"), Column("T_predicted_s", ".3f")),
     *(Column("largest_reduced_chi_square", ".2f"), "findings", Column("seconds", ".1f"), "message"),
 )
 
@@ -76,7 +76,7 @@ class RoomRow(NamedTuple):
     identifiable: int = 0
     values: int = 0  # materials times bands
     mean: tuple[float, float, float] = (np.nan, np.nan, np.nan)  # of 500 and 1000 Hz, with bounds
-    decay_s: tuple[float, float] = (np.nan, np.nan)  # there, measured and predicted
+    decay: tuple[str, float, float] = ("", np.nan, np.nan)  # there: of which T, measured, predicted
     chi2_reduced: float = np.nan  # the largest
     findings: tuple[str, ...] = ()  # codes above "info"
     seconds: float = np.nan
@@ -277,7 +277,9 @@ def _answered(name: str, folder: Path, shown: str) -> RoomRow:
         means = {c["band_hz"]: c for c in content["combinations"] if c["kind"] == "mean"}
         keys = ("absorption", "lower95", "upper95")
         rows = (np.array([means[f][key] for f in centres_hz.tolist()]) for key in keys)
-        times = mean_decay_times([_pair(own) for own in content["pairs"]])
+        nothing = "", *np.full((2, len(centres_hz)), np.nan)
+        pairs = [_pair(own) for own in content["pairs"]]
+        symbol, measured, predicted = mean_decay_times(pairs) or nothing
         codes = [f["code"] for f in content["findings"] if f["severity"] != "info"]
         return RoomRow(
             name,
@@ -286,9 +288,7 @@ def _answered(name: str, folder: Path, shown: str) -> RoomRow:
             identifiable=int(sure.sum()),
             values=int(sure.size),
             mean=Series("", *rows).mid_s(centres_hz),
-            decay_s=(np.nan, np.nan)
-            if times is None
-            else (mid_mean(centres_hz, times[1]), mid_mean(centres_hz, times[2])),
+            decay=(symbol, mid_mean(centres_hz, measured), mid_mean(centres_hz, predicted)),
             chi2_reduced=max((x for x in content["fit"]["phi"] if x is not None), default=np.nan),
             findings=tuple(dict.fromkeys(codes)),
             seconds=float(content["fit"]["seconds"]),
@@ -309,7 +309,7 @@ def _write_table(out: Path, rows: Sequence[RoomRow]) -> None:
     records = []
     for row in rows:
         report = f"{row.folder}/report.html" if row.folder else ""
-        numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
+        numbers = (row.identifiable, row.values, *row.mean, *row.decay, row.chi2_reduced)
         findings, message = " ".join(row.findings), " ".join(row.message.split())
         records.append((row.name, row.status, report, *numbers, findings, row.seconds, message))
     whole_files.write_text_atomically(out / "rooms.csv", csv_of(Table("", _COLUMNS, records)))
@@ -330,11 +330,13 @@ def described(rows: Sequence[RoomRow]) -> Blocks:
         status = Cell(row.status, tuple(row.message.splitlines()), link=link)
         values = f"{row.identifiable} of {row.values}" if row.values else ""
         bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
-        cells = (status, values, Cell(written(mean, ".2f"), bounds), *row.decay_s, row.chi2_reduced)
+        symbol, measured, predicted = row.decay
+        times = Cell(written(measured, ".2f"), (symbol,) if symbol else ()), predicted
+        cells = (status, values, Cell(written(mean, ".2f"), bounds), *times, row.chi2_reduced)
         shown.append((row.name, *cells, Cell("", row.findings)))
     columns = (
         *("Room", "Status", "Identifiable\nvalues"),
-        "Mean absorption of the\nroom, 500 and 1000 Hz",
+        "Mean absorption of the\nroom, mid frequencies",
         *("Decay time there,\nmeasured, s", "predicted, s"),
         *("Largest reduced\nchi-square", "Findings"),
     )

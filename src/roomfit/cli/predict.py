@@ -62,17 +62,18 @@ def predict_to_folder(
     own_names, language = names_of(question.scene, *changes), campaign.project.language
     answer = replace(describe(predicted), language=language, names=own_names)
     shown = in_its_language(answer)
-    drawings = pair_drawings(predicted)
+    beside = pair_drawings(predicted)
     with whole_files.whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures
 
         write_predicted(folder, predicted, files_read())
         whole_files.write_text_atomically(folder / "predicted.html", page(shown))
         if wanted is not None and wanted.grid_m is not None:
-            drawings = grid_drawings(predicted, question.scene)
+            beside = grid_drawings(predicted, question.scene)
             records = grid_records(predicted, question.scene)
             whole_files.write_text_atomically(folder / "grid.csv", csv_of(records))
-        write_pictures(folder, Blocks("", (*shown.drawings(), *drawings), ()), png_too=png)
+        of_page = replace(answer, head=shown.drawings(), blocks=beside)
+        write_pictures(folder, in_its_language(of_page), png_too=png)
     return predicted
 
 

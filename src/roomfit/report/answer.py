@@ -17,7 +17,6 @@ from roomfit.report.blocks import (
     Drawing,
     Findings,
     Listed,
-    Numbers,
     Part,
     Sentence,
     Terms,
@@ -109,7 +108,7 @@ def result_blocks(
     first, *usable = (*remaining_usable(answer), headline(answer))
     head: list[Block] = [
         Sentence(first, "lead"),
-        Numbers(key_figures(answer)),
+        Terms(key_figures(answer), are_numbers=True),
         *_decay_times(answer),
         tables.answer_table(answer),
         Listed(serious_lines(answer.findings)),

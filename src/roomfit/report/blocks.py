@@ -35,17 +35,11 @@ class Sentence:
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
-    """A few numbers, each with what it is."""
-
-    pairs: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Terms:
-    """Names with a text each."""
+    """Names with a text each; or a few numbers, each with what it is."""
 
     pairs: tuple[tuple[str, str], ...]
+    are_numbers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +109,7 @@ class Part:
     in_text: bool = True  # False: a page alone has it
 
 
-Block: TypeAlias = "Sentence | Numbers | Terms | Listed | Table | Drawing | Findings | Part"
+Block: TypeAlias = "Sentence | Terms | Listed | Table | Drawing | Findings | Part"
 
 
 @dataclass(frozen=True, slots=True)

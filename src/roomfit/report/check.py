@@ -12,7 +12,7 @@ from roomfit.base.logit import Z95, expit
 from roomfit.base.table import Cell, Column, Table, Value, text_of
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry, catalogue, find_material
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence, Terms
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import count, short_hertz
 
 if TYPE_CHECKING:
     from roomfit.checks.usable import CheckedRecordings
@@ -78,24 +78,19 @@ def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks
 _OCTAVES = tuple(Column(short_hertz(f), ".2f") for f in OCTAVES_HZ)
 
 
-def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
-    """Return one line for each entry, under its group: name and absorption in octaves."""
-    rows: list[Sequence[Value]] = []
-    for group, own in groupby(entries, key=lambda entry: entry.group):
-        rows += [[""], [group], *([f"  {e.name}", *e.absorption] for e in own)]
-    number = f"{len(entries)} materials" if len(entries) != 1 else "1 material"
-    notes = ("", f"{number}. roomfit catalogue NAME shows one with its spread and sources.")
-    return text_of(Table("", ("absorption at", *_OCTAVES), rows, notes))
-
-
 def materials_text(words: Sequence[str]) -> str:
-    """Return the entry of this name in full, or a line for each in which all words occur."""
+    """Return the entry of this name in full, or by group a line for each with all these words."""
     entries, name = catalogue().entries, "-".join(words)
     said = [f"{e.name} {e.group} {e.description}".lower() for e in entries]
     found = [e for e, t in zip(entries, said, strict=True) if all(w.lower() in t for w in words)]
     if words and (not found or name.lower() in (e.name for e in found)):
         return entry_text(find_material(name))
-    return catalogue_text(found)
+    rows: list[Sequence[Value]] = []
+    for group, own in groupby(found, key=lambda entry: entry.group):
+        rows += [[""], [group], *([f"  {e.name}", *e.absorption] for e in own)]
+    number = count(len(found), "material")
+    notes = ("", f"{number}. roomfit catalogue NAME shows one with its spread and sources.")
+    return text_of(Table("", ("absorption at", *_OCTAVES), rows, notes))
 
 
 def entry_text(entry: CatalogueEntry) -> str:

@@ -8,23 +8,15 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Iterable
-from dataclasses import replace
-from html import escape
 from typing import Any
 
 from roomfit.base.errors import InputError
-from roomfit.base.table import Table, html_of
+from roomfit.base.table import html_of
 from roomfit.report.blocks import (
     SEVERITIES,
-    Block,
     Blocks,
-    Drawing,
     Findings,
-    Listed,
-    Numbers,
     Part,
-    Sentence,
     in_its_language,
 )
 from roomfit.report.wording import translator
@@ -42,7 +34,10 @@ def page(answer: Blocks) -> str:
     answer, say = in_its_language(answer), translator(answer.language)
     running = " · ".join(filter(None, (answer.title, dict(answer.project).get("client", ""))))
     text = _template(
+        "page",
         t=say,
+        whole=True,
+        drawn=True,
         a=answer,
         running=_css_string(running),
         page_words=tuple(_css_string(say(word)) for word in ("Page", "of")),
@@ -61,35 +56,8 @@ def fragment(answer: Blocks, *, first: bool = False) -> str:
     Question mark and grey follow what is not identifiable, for the page's style sheet is missing.
     The `first` screen has its drawing.
     """
-    style = (
-        "<style>table.roomfit td.unsure { color: #777 } "
-        "table.roomfit small { display: block }</style>"
-    )
     shown = answer.head if first else (*answer.head, *answer.blocks)
-    return style + "".join(_pieces(shown, drawn=first))
-
-
-def _pieces(blocks: Iterable[Block], *, drawn: bool) -> Iterable[str]:
-    for block in blocks:
-        match block:
-            case Sentence() if block.kind != "note":
-                yield f"<p>{escape(block.text)}</p>"
-            case Numbers():
-                yield _list(f"{number} {words}" for number, words in block.pairs)
-            case Listed() if block.sentences:
-                yield _list(block.sentences)
-            case Table():
-                yield html_of(replace(block, kind=f"roomfit {block.kind}".strip()))
-            case Drawing() if drawn:
-                yield f"<figure>{block.svg}</figure>"
-            case Findings() if block.findings:
-                yield _list(f"{f.severity}: {f.sentence} [{f.code}]" for f in block.findings)
-            case Part() if block.in_text:
-                yield from _pieces(block.blocks, drawn=drawn)
-
-
-def _list(lines: Iterable[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+    return _template("fragment", t=str, blocks=shown, whole=False, drawn=first)
 
 
 def findings_count(block: Findings) -> str:
@@ -111,7 +79,7 @@ def _css_string(text: str) -> str:
     return '"{}"'.format("".join(letters))
 
 
-def _template(**content: Any) -> str:
+def _template(name: str, **content: Any) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined  # for pages alone
     from markupsafe import Markup
 
@@ -128,5 +96,5 @@ def _template(**content: Any) -> str:
         kind_of=lambda block: type(block).__name__,
         findings_count=findings_count,
     )
-    text: str = environment.get_template("page.html.j2").render(**content)
+    text: str = environment.get_template(f"{name}.html.j2").render(**content)
     return text

@@ -21,9 +21,9 @@ from roomfit.report.blocks import (
     Drawing,
     Findings,
     Listed,
-    Numbers,
     Part,
     Sentence,
+    Terms,
 )
 from roomfit.report.doubts import serious_lines
 from roomfit.report.tables import bounded_cells
@@ -188,7 +188,7 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
-    head += [Numbers(numbers)] if (numbers := tuple(_numbers(predicted))) else []
+    head += [Terms(numbers, are_numbers=True)] if (numbers := tuple(_numbers(predicted))) else []
     head += [] if answer is None else [answer.drawing(limits), *answer.tables(limits)]
     head += [Listed(serious_lines(predicted.findings)), Sentence(_NEXT)]
 

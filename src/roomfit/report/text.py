@@ -8,7 +8,7 @@ from importlib import import_module
 
 from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Shown, Table, text_of
-from roomfit.report.blocks import Block, Blocks, Findings, Listed, Numbers, Part, Sentence, Terms
+from roomfit.report.blocks import Block, Blocks, Findings, Listed, Part, Sentence, Terms
 
 _WIDTH = 100
 _MOST_SENTENCES = 12
@@ -26,7 +26,7 @@ def text(answer: Blocks, *, details: bool = True) -> str:
     shown = (*answer.head, *answer.blocks) if details else answer.head
     parts = [_block(b, answer.file) for b in sorted(shown, key=lambda b: isinstance(b, Findings))]
     if not details:  # in a screen: blank lines about what is long
-        aside = [isinstance(b, Table | Numbers) or b == answer.head[0] for b in shown]
+        aside = [isinstance(b, Table | Terms) or b == answer.head[0] for b in shown]
         parts = [f"{p}\n" if p and x else p for p, x in zip(parts, aside, strict=True)]
     for block in () if details else answer.blocks:
         if isinstance(block, Findings) and block.findings:
@@ -39,9 +39,9 @@ def _block(block: Block, file: str) -> str:
     match block:
         case Sentence():
             return "" if block.kind == "note" else filled(block.text)
-        case Numbers() | Terms():
+        case Terms():
             width = max((len(first) for first, _ in block.pairs), default=0)
-            side = ">" if isinstance(block, Numbers) else "<"
+            side = "<>"[block.are_numbers]
             return "\n".join(
                 filled(f"{first:{side}{width}}  {words}", width + 2) for first, words in block.pairs
             )

@@ -16,7 +16,6 @@ from roomfit.report.blocks import (
     Drawing,
     Findings,
     Listed,
-    Numbers,
     Part,
     Sentence,
     Terms,
@@ -68,6 +67,7 @@ def _head(treatment: Treatment) -> tuple[Block, ...]:
         numbers.append((wording.with_interval(*after.mid_s(centres_hz)), words))
     numbers.append((f"{sum(h.area_m2 for h in first.hung):.4g} m²", "to be hung"))
     numbers.append((f"{first.cost:g}", "cost, in the units of the treatment file"))
+    shown = Terms(tuple(numbers), are_numbers=True)
     caption = (
         "The room from above one corner. Covered surfaces are coloured, the paler the less of "
         "them is covered; those that face away from the viewer are seen through."
@@ -75,7 +75,7 @@ def _head(treatment: Treatment) -> tuple[Block, ...]:
     maker = "prediction_figures.treatment_figure"
     title = "The room and what hangs where"
     picture = Drawing("treatment", title, caption, maker, (treatment,))
-    return Sentence(treatment_sentence(treatment), "lead"), Numbers(tuple(numbers)), picture
+    return Sentence(treatment_sentence(treatment), "lead"), shown, picture
 
 
 def limits_of(targets: Iterable[Target]) -> list[tuple[tuple[float, ...], float, float]]:
