@@ -34,6 +34,8 @@ def test_a_workbook_a_copy_of_its_cells_and_a_text_give_the_same_positions(tmp_p
     rows: list[list[object]] = [["Name", "x [cm]", "y", "z"], [], ["Bühne", 120.5, 150, "110,25"]]
     expected = {"Bühne": (1.205, 1.5, 1.1025)}
     assert read_positions(workbook(tmp_path, rows))[0] == expected
+    stored = [rows[0], [1.101, 120.125, 150, 110]]  # whose point is that of decimals
+    assert read_positions(workbook(tmp_path, stored))[0] == {"1.101": (1.20125, 1.5, 1.1)}
     for text in (
         "Name\tx [cm]\ty\tz\n\nBühne\t120,5\t150\t110,25\n",
         "Name;x in cm;y in cm;z in cm\nBühne;120,5;150;110,25\n",

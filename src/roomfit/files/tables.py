@@ -568,7 +568,8 @@ def _cell(cell: Any, texts: list[str]) -> str:
         return _text(cell)
     value = cell.find(f"{_MAIN}v")
     text = "" if value is None or value.text is None else str(value.text)
-    # a fourth decimal, so that its point is none of thousands
-    return (
-        texts[int(text)] if cell.get("t") == "s" and text else re.sub(r"\.\d{3}$", r"\g<0>0", text)
-    )
+    if cell.get("t") == "s" and text:
+        return texts[int(text)]
+    # a fourth decimal, so that its point is none of thousands; column A holds names
+    is_name = cell.get("r", "A").startswith("A")
+    return text if is_name else re.sub(r"\.\d{3}$", r"\g<0>0", text)
