@@ -82,10 +82,24 @@ def test_parts_of_a_material_make_the_mean_by_area_and_no_more_than_all_of_it():
 
 @pytest.mark.parametrize(
     "text",
-    ["wall=40% 0.3+-0.05", "wall=12.5% x1.5", "wall=7% curtain-heavy", "wall=0.1,0.2", "a b=x2"],
+    [
+        "wall=40% 0.3+-0.05",
+        "wall=12.5% x1.5",
+        "wall=7% curtain-heavy",
+        "wall=0.1,0.2",
+        "wall=0, 1",
+        "a b=x2",
+    ],
 )
 def test_a_change_is_read_as_it_is_written(text):
     assert change_text(read_change(text)) == text
+
+
+@pytest.mark.parametrize("text", ["wall=0,1", "wall=40% 0,25", "people=12,5"])
+def test_a_decimal_comma_is_no_list_of_two_bands(text):
+    """Of two bands 0,1 had become 0 and 1."""
+    with pytest.raises(InputError, match=r"(?s)may stand for a point.*\d\.\d+ for one number"):
+        read_change(text)
 
 
 @pytest.mark.parametrize("text", ["wall=0% 0.3", "wall=120% 0.3", "wall=40% 0.3,"])

@@ -28,6 +28,7 @@ _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
 _PART = re.compile(rf"^{_NUMBER} ?% ?(?=\S)")
 # what is meant as a number, and is none of these; a material may be called 3mm-glass
+_TWO_WHOLE = re.compile(r"(\d+),(\d+)")  # two bands, or a number with a decimal comma
 _LIKE_NUMBERS = re.compile(r"x?([-+±.,\deE]+|[-+]?(nan|inf))")
 
 
@@ -72,6 +73,10 @@ def read_change(text: str) -> Change:
         share, specified = float(part_of[1]) / 100.0, specified[part_of.end() :]
         if not 0.0 < share <= 1.0:
             raise _not_written(text)
+    if either := _TWO_WHOLE.fullmatch(specified):
+        what, needed = "a comma that may stand for a point", "a point, or a space behind the comma"
+        hint = "write {0}.{1} for one number, or {0}, {1} for two bands".format(*either.groups())
+        raise InputError(what, found=repr(text), needed=needed, hint=hint)
     found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
     matches = [m for m in found if m is not None]
     if not matches and _LIKE_NUMBERS.fullmatch(specified):
@@ -97,7 +102,8 @@ def change_text(change: Change) -> str:
         f"{mark}{v:g}" + (f"+-{sd:g}" if sd else "")
         for v, sd in zip(change.values, change.sds, strict=True)
     ]
-    return f"{head}{','.join(values)}"
+    written = ",".join(values)
+    return head + (written.replace(",", ", ") if _TWO_WHOLE.fullmatch(written) else written)
 
 
 def changed_draws(
