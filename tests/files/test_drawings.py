@@ -222,5 +222,13 @@ def test_a_plan_and_heights_are_a_room_with_materials_by_wall():
     assert repr(room) == expected
     with pytest.raises(InputError, match=r"heights do not go with the plan(.*\n)*.*1 or as many"):
         read_room(RoomSpec(plan=plan, height=[3.0, 2.0]))
+    for heights in ([4, 4, 3, 2], [4, 3, 3, 3]):
+        with pytest.raises(InputError, match=r"no roof(.*\n)*.*two highest corners that are no"):
+            read_room(RoomSpec(plan=PLANS["box"], height=heights))
+    with pytest.raises(InputError, match=r"a height without a plan(.*\n)*.*leave height out"):
+        RoomSpec(shoebox=(6, 5, 3), height=3.0)
+    for few in ([], [(0, 0)], [(0, 0), (4, 0)]):
+        with pytest.raises(ValueError, match="at least 3 items"):
+            RoomSpec(plan=few, height=3.0)
     crossed = RoomSpec(plan=[(0, 0), (4, 3), (4, 0), (0, 2)], height=3.0)
     assert Code.SELF_INTERSECTING_POLYGON in [f.code for f in read_room(crossed)[1]]

@@ -113,7 +113,7 @@ class RoomSpec(Table):
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonSpec | None = None
     """Tables of corners and planes."""
-    plan: list[tuple[Coordinate, Coordinate]] | None = None
+    plan: list[tuple[Coordinate, Coordinate]] | None = Field(None, min_length=3)
     """Corners x, y of the floor in their order around it, under upright walls."""
     height: Height | list[Height] | None = None
     """Of a plan: of the ceiling, or above each corner; with two highest corners a gabled roof."""
@@ -130,6 +130,10 @@ class RoomSpec(Table):
         """Refuse a room without a description, or with two, and a space of a file without them."""
         what, hint = "the room needs exactly one description", "keep the one that is as the room is"
         the_one(self, ("file", "shoebox", "polygons", "plan"), what, "room", hint)
+        if self.height is not None and self.plan is None:
+            what, found = "a height without a plan", f"height = {self.height}"
+            hint = "leave height out: files, boxes and polygons have their own"
+            raise InputError(what, found=found, needed="plan = [[x, y], ...]", hint=hint)
         if self.space is not None and (self.file or Path()).suffix.lower() not in _OF_SEVERAL:
             what = "only a building model and a scan have spaces"
             needed = f"a file of {' or '.join(_OF_SEVERAL)}"

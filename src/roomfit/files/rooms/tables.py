@@ -270,8 +270,15 @@ def plan_model(plan: Sequence[tuple[float, float]], height: float | Sequence[flo
     off = np.abs(level @ np.linalg.lstsq(level, top)[0] - top).max()
     a, *others = np.flatnonzero(top == top.max()).tolist()
     roof = [ring]
-    if off > 1e-3 and len(others) == 1:
-        roof = [ring[a : others[0] + 1], (*ring[others[0] :], *ring[: a + 1])]
+    if off > 1e-3:
+        b = others[0] if len(others) == 1 else a
+        roof = [ring[a : b + 1], (*ring[b:], *ring[: a + 1])]
+        if min(map(len, roof)) < 3:
+            what, where = "the heights carry no roof", "[room] height"
+            found = f"{top.max():g} m above {len(others) + 1} of {n} corners, and no plane"
+            needed = "a plane, or a ridge between two highest corners that are no neighbours"
+            hint = "give a ridge corners of the plan at both its ends, or draw the room"
+            raise malformed(what, where, found, needed, hint)
     shapes: dict[str, tuple[int, ...]] = {
         f"wall {i + 1}": (i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)
     }
