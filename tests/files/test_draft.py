@@ -264,14 +264,18 @@ def test_a_source_is_what_the_name_of_a_file_says_or_a_blank(tmp_path, files, kn
     assert tuple(matching_files(tmp_path, None, known).values()) == pairs
 
 
-@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (10.0, -20.0, 1.0)])
-def test_a_sofa_file_of_many_pairs_gives_measurements_positions_room_and_air(tmp_path, corner):
-    """Wherever the corner of its room lies; sources are emitters, receivers those of a listener."""
+SOURCES, RECEIVERS = np.array([[1, 1, 1], [2, 1, 1.5]]), np.array([[3, 2, 1], [3, 1, 1.2]])
+
+
+def write_sofa(
+    path, corner=(0, 0, 0), lengths=(5, 4, 3), kelvin=294.15, sources=SOURCES, receivers=RECEIVERS
+):
+    """A SOFA file of so many receivers, and as many emitters as there are sources."""
     sofar = pytest.importorskip("sofar")
-    sources, receivers = np.array([[1, 1, 1], [2, 1, 1.5]]), np.array([[3, 2, 1], [3, 1, 1.2]])
+    n, r = len(sources), len(receivers)
     sofa = sofar.Sofa("SingleRoomMIMOSRIR")
-    sofa.Data_IR = np.random.default_rng(1).normal(size=(1, 2, 4800, 2))
-    sofa.Data_SamplingRate, sofa.Data_Delay = 48_000, np.zeros((1, 2, 2))
+    sofa.Data_IR = np.random.default_rng(1).normal(size=(1, r, 4800, n))
+    sofa.Data_SamplingRate, sofa.Data_Delay = 48_000, np.zeros((1, r, n))
     sofa.ListenerPosition = sofa.SourcePosition = corner
     sofa.SourcePosition_Type, sofa.SourcePosition_Units = "cartesian", "metre"
     sofa.ReceiverPosition, sofa.EmitterPosition = receivers[..., None], sources[..., None]
@@ -280,15 +284,56 @@ def test_a_sofa_file_of_many_pairs_gives_measurements_positions_room_and_air(tmp
     for end in ("Receiver", "Emitter"):
         for key in ("Descriptions", "View", "Up"):
             sofa.delete(end + key)
-    sofa.RoomCornerA, sofa.RoomCornerB = corner, np.add(corner, (5, 4, 3))
-    sofa.RoomTemperature, sofa.RoomTemperature_Units = 294.15, "kelvin"
-    sofar.write_sofa(str(tmp_path / "room.sofa"), sofa)
+    sofa.RoomCornerA, sofa.RoomCornerB = corner, np.add(corner, lengths)
+    sofa.RoomTemperature, sofa.RoomTemperature_Units = kelvin, "kelvin"
+    sofar.write_sofa(str(path), sofa)
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (10.0, -20.0, 1.0)])
+def test_a_sofa_file_of_many_pairs_gives_measurements_positions_room_and_air(tmp_path, corner):
+    """Wherever the corner of its room lies; sources are emitters, receivers those of a listener."""
+    write_sofa(tmp_path / "room.sofa", corner)
     written = tomllib.loads(draft_to_folder(tmp_path, None))
     assert written["room"]["shoebox"] == [5, 4, 3] and written["air"]["temperature_c"] == 21.0
-    assert [s["position"] for s in written["sources"].values()] == sources.tolist()
-    assert [r["position"] for r in written["receivers"].values()] == receivers.tolist()
+    assert [s["position"] for s in written["sources"].values()] == SOURCES.tolist()
+    assert [r["position"] for r in written["receivers"].values()] == RECEIVERS.tolist()
     assert [(m["source"], m["receiver"]) for m in written["measurements"]] == [
         ("S1", "R1"), ("S2", "R1"), ("S1", "R2"), ("S2", "R2"),
     ]  # fmt: skip
     chosen = [(m["receiver_index"], m["emitter_index"]) for m in written["measurements"]]
     assert chosen == [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def test_the_table_of_positions_decides_and_two_places_of_one_name_are_said(tmp_path):
+    """Names of the table at the file's places, to 1 cm; else the place that the table has."""
+    write_sofa(tmp_path / "S1_R1.sofa")
+    table = tmp_path / "p.csv"
+    table.write_text("name,x [m],y [m],z [m]\nLS,1.005,1,1\nS2,2,1,1.2\nMP,3,2,1\n")
+    written = tomllib.loads(draft_to_folder(tmp_path, None, positions=table))
+    named = [(m["source"], m["receiver"]) for m in written["measurements"]]
+    assert named == [("LS", "MP"), ("S1", "MP"), ("LS", "R1"), ("S1", "R1")]
+    assert written["sources"]["LS"]["position"] == [1.005, 1, 1]
+    assert written["sources"]["S1"]["position"] == [2, 1, 1.5]
+    (tmp_path / "S1_R1.sofa").unlink()
+    for i in (0, 1):
+        write_sofa(tmp_path / f"S2_R{i}.sofa", sources=SOURCES[i:][:1], receivers=RECEIVERS[i:][:1])
+    with pytest.raises(InputError, match=r"S2 at \(2\.0.*S2_R1\.sofa, and at \(1\.0(.*\n)*.*--pos"):
+        draft_to_folder(tmp_path, None, overwrite=True)
+    text = draft_to_folder(tmp_path, None, positions=table, overwrite=True)
+    assert tomllib.loads(text)["sources"]["S2"]["position"] == [2, 1, 1.2]
+    assert text.count("in the table of positions, which applies") == 2
+
+
+def test_defaults_of_a_convention_are_no_facts_and_a_given_room_has_its_own_axes(tmp_path):
+    """A room of 1, 2, 3 m and 0 K; a box of another size does not stand at the file's corner."""
+    write_sofa(tmp_path / "a.sofa", lengths=(1, 2, 3), kelvin=0.0)
+    text = draft_to_folder(tmp_path, None)
+    assert "In doubt: a.sofa: the room of 1 m x 2 m x 3 m is a default" in text
+    assert "of 0 K is a default" in text and "air" not in tomllib.loads(text)
+    assert FILL_IN in tomllib.loads(text)["room"]["shoebox"]
+    write_sofa(tmp_path / "a.sofa", corner=(-1, -1, 0))
+    for lengths, moved in (((5, 4, 3), 1.0), ((6, 5, 3), 0.0)):
+        written = tomllib.loads(
+            draft_to_folder(tmp_path, RoomSpec(shoebox=lengths), overwrite=True)
+        )
+        assert written["sources"]["S1"]["position"] == [0 + moved, 0 + moved, 1]

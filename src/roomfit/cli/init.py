@@ -58,6 +58,7 @@ def init(
     found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
     found += [written["recordings"]] if "recordings" in written else []
     lines = [f"{file}: {', '.join(found) or f'decay times of {decay_times}'}"]
+    lines += [line[2:] for line in text.splitlines() if line.startswith("# In doubt: ")]
     if left := blanks(written):
         lines.append("to be filled in: " + ", ".join(left))
     if decay_times is None and recordings is None:
@@ -161,7 +162,7 @@ def draft_to_folder(
         read_decay_times(decay_times)
     known = {} if positions is None else read_positions(positions)[0]
     files = {} if decay_times is not None else matching_files(folder, recordings, known)
-    carried = carried_in(folder, files) if recordings is None else None
+    carried = carried_in(folder, files, known, room) if recordings is None else None
     text = draft_campaign(
         room,
         files,

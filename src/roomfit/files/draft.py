@@ -18,7 +18,7 @@ import numpy as np
 from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
-from roomfit.base.polygon import area_vector_m2
+from roomfit.base.polygon import area_vector_m2, place
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import FILL_IN
 from roomfit.files.edits import value_text
@@ -45,6 +45,7 @@ _DEFAULTS = (
     'level = "per-file"     # where the gain was changed between recordings',
     'excitation = "sweep.wav"  # where they are recordings of a sweep',
 )
+_SAME_M = 0.01
 Positions = Mapping[str, Sequence[float]]
 
 
@@ -103,37 +104,58 @@ class Carried(NamedTuple):
     positions: Positions
     lengths_m: tuple[float, float, float] | None
     temperature_c: float | None
+    doubts: Sequence[str]
 
 
-def carried_in(folder: Path, recordings: Mapping[str, tuple[str, str]]) -> Carried:
+def carried_in(
+    folder: Path, recordings: Mapping[str, tuple[str, str]], known: Positions, room: RoomSpec | None
+) -> Carried:
     """Return what the SOFA files among recordings hold: a row for each response.
 
-    Positions within 1 mm are one; a file of one response has its pair by its name. Where a file
-    does not say where it was measured, sources are blank, and receivers numbered.
+    Positions within 1 cm are one, and those that are `known` decide; a file of one response has its
+    pair by its name. Where a file does not say where it was measured, sources are blank, and
+    receivers numbered. Positions count from the corner of the file's room where that is the room.
     """
-    rows: list[dict[str, str | int]] = []
-    names: dict[str, dict[tuple[object, ...], str]] = {"source": {}, "receiver": {}}
-    found: dict[str, tuple[float, ...]] = {}
-    lengths_m, celsius = None, None
+    rows, doubts = list[dict[str, str | int]](), list[str]()
+    names = {kind: {n: np.array(p) for n, p in known.items()} for kind in ("source", "receiver")}
+    boxes, celsius = list[tuple[float, float, float]](), list[float]()
     for file, pair in recordings.items():
         if not file.lower().endswith(".sofa"):
             continue
         with located(str(folder / file)):
             own = read_sofa_pairs(read_bytes(folder / file, "response file"))
+        doubts += [f"{file}: {text}" for text in own.doubts]
+        boxes += [] if own.lengths_m is None else [own.lengths_m]
+        celsius += [] if own.temperature_c is None else [own.temperature_c]
+        box = own.lengths_m if room is None else room.shoebox
+        is_own = own.lengths_m and box and np.allclose(box, own.lengths_m, atol=_SAME_M)
+        ends_m = own.ends_m - own.corner_m if is_own else own.ends_m
         for i, choice in enumerate(own.choices):
             row: dict[str, str | int] = {}
-            for (kind, known), at_m, name in zip(
-                names.items(), own.ends_m[:, i], pair, strict=True
-            ):
-                at, is_known = tuple(at_m.round(3).tolist()), bool(np.isfinite(at_m).all())
-                new = f"{kind[0].upper()}{len(known) + 1}"
-                if choice and (is_known or kind == "receiver"):
-                    name = known.setdefault(at if is_known else (file, i), new)
-                row[kind] = FILL_IN if choice and not is_known and kind == "source" else name
-                found |= {name: at} if is_known else {}
+            for (kind, stand), at_m, name in zip(names.items(), ends_m[:, i], pair, strict=True):
+                if choice:
+                    near = (n for n, p in stand.items() if np.linalg.norm(p - at_m) <= _SAME_M)
+                    new = (f"{kind[0].upper()}{k}" for k in range(1, len(stand) + 2))
+                    name = next(near, next(n for n in new if n not in stand))
+                is_blank = choice and kind == "source" and not np.isfinite(at_m).all()
+                row[kind] = FILL_IN if is_blank else name
+                before = at_m if is_blank else stand.setdefault(name, at_m)
+                if not is_blank and not np.isfinite(before).all():
+                    stand[name] = at_m
+                elif np.linalg.norm(before - at_m) > _SAME_M:
+                    found = f"{name} at {place(at_m)} in {file}, and at {place(before)}"
+                    if name not in known:
+                        what, needed = "one name stands at two places", "one place for each name"
+                        hint = "give --positions, which decides, or names of their own to the files"
+                        raise InputError(what, found=found, needed=needed, hint=hint)
+                    doubts.append(f"{found} in the table of positions, which applies")
             rows.append({**row, "file": file, **choice})
-        lengths_m, celsius = own.lengths_m or lengths_m, own.temperature_c or celsius
-    return Carried(rows, found, lengths_m, celsius)
+    stands = {n: p for stand in names.values() for n, p in stand.items() if np.isfinite(p).all()}
+    positions = {n: tuple(p.round(3).tolist()) for n, p in stands.items()} | dict(known)
+    if len(set(boxes)) > 1:
+        doubts.append("files of responses disagree on the size of the room, which is left blank")
+    lengths_m = boxes[0] if len(set(boxes)) == 1 else None
+    return Carried(rows, positions, lengths_m, float(np.mean(celsius)) if celsius else None, doubts)
 
 
 def draft_campaign(
@@ -154,8 +176,8 @@ def draft_campaign(
     stand, with source and receiver; the template of their names takes the place of a table for
     each, a table of decay times that of positions and recordings.
     """
-    carried = carried or Carried((), {}, None, None)
-    positions, celsius = {**(positions or {}), **carried.positions}, carried.temperature_c
+    carried = carried or Carried((), {}, None, None, ())
+    positions, celsius = {**carried.positions, **(positions or {})}, carried.temperature_c
     if room is None and carried.lengths_m is not None:
         room = RoomSpec(shoebox=carried.lengths_m)
     own = {str(row["file"]) for row in carried.rows}
@@ -187,6 +209,7 @@ def draft_campaign(
     lines = [
         "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
         *(f"#   roomfit {command}" for command in commands),
+        *(f"# In doubt: {one_line(text)}." for text in carried.doubts),
         "",
         *before,
         "[room]",

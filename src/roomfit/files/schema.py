@@ -113,7 +113,7 @@ class RoomSpec(Table):
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonSpec | None = None
     """Tables of corners and planes."""
-    plan: list[tuple[Coordinate, Coordinate]] | None = Field(None, min_length=3)
+    plan: list[tuple[Coordinate, Coordinate]] | None = Field(default=None, min_length=3)
     """Corners x, y of the floor in their order around it, under upright walls."""
     height: Height | list[Height] | None = None
     """Of a plan: of the ceiling, or above each corner; with two highest corners a gabled roof."""

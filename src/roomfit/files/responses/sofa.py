@@ -155,8 +155,13 @@ class SofaPairs(NamedTuple):
 
     choices: list[dict[str, int]]  # what chooses each; nothing of the only one
     ends_m: FloatArray  # (2, n_responses, 3) of source and receiver, NaN where it is not known
-    lengths_m: tuple[float, float, float] | None  # of a room, from whose corner positions count
+    corner_m: FloatArray  # (3,), of its room, 0 without one
+    lengths_m: tuple[float, float, float] | None
     temperature_c: float | None
+    doubts: tuple[str, ...]  # what conventions write where nothing is known, and is not taken
+
+
+_DEFAULT_ROOM = ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))  # RoomCornerA and B of AES69
 
 
 def read_sofa_pairs(content: bytes) -> SofaPairs:
@@ -170,10 +175,14 @@ def read_sofa_pairs(content: bytes) -> SofaPairs:
     m, r, _, e = (1, 1, 1, 1) if data is None else data.shape
     sources = _placed(sofa, "Source", "Emitter", m, e)
     receivers = _placed(sofa, "Listener", "Receiver", m, r)
-    low, high = (_one(sofa, f"RoomCorner{end}", 1, (0.0, 0.0, 0.0))[0] for end in "AB")
-    x, y, z = np.abs(high - low).tolist()
-    is_known = x * y * z > 0.0 or np.abs(receivers).max(initial=0.0) > 0.5
-    start = np.minimum(low, high) if x * y * z > 0.0 else 0.0 if is_known else np.nan
+    corners = np.array([_one(sofa, f"RoomCorner{e}", 1, (0.0, 0.0, 0.0))[0] for e in "AB"])
+    doubts = []
+    if np.array_equal(corners, _DEFAULT_ROOM):
+        doubts.append("the room of 1 m x 2 m x 3 m is a default of SOFA, and not taken")
+        corners[:] = 0.0
+    x, y, z = np.ptp(corners, axis=0).tolist()
+    is_room = x * y * z > 0.0
+    unknown = 0.0 if is_room or np.abs(receivers).max(initial=0.0) > 0.5 else np.nan
     grid = [(i, j, k) for i in range(m) for j in range(r) for k in range(e)]
     ends_m = np.array([[sources[i, k], receivers[i, j]] for i, j, k in grid]).swapaxes(0, 1)
     several = {"measurement": m > 1, "receiver_index": r > 1, "emitter_index": e > 1}
@@ -186,7 +195,12 @@ def read_sofa_pairs(content: bytes) -> SofaPairs:
     if kelvin is not None and kelvin.size == 1:
         unit = str(sofa["RoomTemperature"].attributes.get("Units", "kelvin")).lower()
         celsius = float(kelvin.reshape(-1)[0]) - (273.15 if unit.startswith("k") else 0.0)
-    return SofaPairs(choices, ends_m - start, (x, y, z) if x * y * z > 0.0 else None, celsius)
+        if celsius == -273.15:
+            doubts.append("a temperature of 0 K is a default of SOFA, and not taken")
+            celsius = None
+    lengths = (x, y, z) if is_room else None
+    corner = corners.min(axis=0)
+    return SofaPairs(choices, ends_m + unknown, corner, lengths, celsius, tuple(doubts))
 
 
 def _one(sofa: Variables, name: str, n: int, otherwise: tuple[float, ...]) -> FloatArray:
