@@ -183,6 +183,7 @@ def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path, na
         (left, "does not swing"),
         (lambda p: 10.0 * np.log10(left(p) + 1e-9), "does not swing"),
         (lambda p: 60.0 + 20.0 * np.log10(np.abs(hilbert(p))), "does not swing"),
+        (lambda p: 20.0 * np.log10(np.abs(p) + 1e-9), "does not swing"),
     ],
 )
 def test_a_file_that_holds_no_response_is_refused(tmp_path, spoil, words):

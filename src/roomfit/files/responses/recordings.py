@@ -18,8 +18,8 @@ _LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from the range of a fl
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
 # Of a sum of sizes, what is left of one sign; of the largest, rounding of the other sign, and half
-# of all samples of a level in dB.
-_ONE_SIDED, _OTHER_SIGN, _LEVELS = 0.7, 1e-3, 0.1
+# of all samples of a level in dB; samples of the other sign, above 0 dB.
+_ONE_SIDED, _OTHER_SIGN, _LEVELS, _FEW = 0.7, 1e-3, 0.1, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,15 +84,20 @@ def _is_curve(pressure: FloatArray) -> bool:
     """Return whether a file has one sign, or is as large as levels are, and swings about no value.
 
     Of the sizes after the largest the sum leaves .08 at most in measured rooms, .88 and more in
-    curves; of images that a simulator adds with one sign it leaves as much, but some swing.
+    curves; of images that a simulator adds with one sign it leaves as much, but some swing. Levels
+    of single samples swing, too, by 30 dB up to the end, where a response is as good as still.
     """
     n, largest = max(len(pressure) // 8, 1), float(np.abs(pressure).max())
     other = min(-float(pressure.min()), float(pressure.max()))
+    end_range = float(np.ptp(np.quantile(pressure[-n:], (0.05, 0.95))))
+    other_share = min(np.mean(pressure > 0.0), np.mean(pressure < 0.0))
+    if other_share < _FEW and end_range > _LEVELS * np.ptp(pressure):
+        return True
     if other > _OTHER_SIGN * largest and np.median(np.abs(pressure)) < _LEVELS * largest:
         return False
     centred = pressure - np.median(pressure[-n:])
-    peak = int(np.argmax(np.abs(centred)))
-    after = centred[peak + 1 : peak + n]
+    size = np.abs(centred)
+    after = centred[int(np.argmax(size)) + 1 :][: n - 1]
     after = after[np.abs(after) > _OTHER_SIGN * largest]
     return abs(float(after.sum())) > _ONE_SIDED * float(np.abs(after).sum())
 
