@@ -103,7 +103,10 @@ def _serve(read: str, memory_bytes: float, seconds: float, most_bytes: float) ->
             raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
         text = json.dumps(head)
     except DAMAGE as error:
-        message = f"{place[0]}: {type(error).__name__}: {error}"
+        why = f"{type(error).__name__}: {error}"
+        if isinstance(error, MemoryError):
+            why = "more memory than a file of its size needs"
+        message = f"{place[0]}: {why}"
         text, arrays = json.dumps({"error": " ".join(message.split())[:500]}), []
     out.write(text.encode("ascii") + b"\n")
     for values in arrays:
