@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 from roomfit.base.errors import located
@@ -32,13 +32,16 @@ def design_arguments(
     changed : mapping of option to value, optional
         Fields of `DesignOptions` that stand instead of the campaign's.
     """
-    room = inputs.campaign_room(campaign)
-    bands, absorption = campaign.bands, None
-    priors = inputs.room_priors(campaign, room)
+    room, bands, absorption = inputs.campaign_room(campaign), campaign.bands, None
+    options = campaign.design.model_dump()
+    options |= {"n_draws": options.pop("draws"), "position_sd_m": options.pop("position_sd")}
     if result is not None:
+        # its criterion counts without a fit
+        options["criterion"] = None
         with located(f"{campaign.path}, identify"):
             bands, doubts = common_bands(campaign.bands, result.bands)
-        priors = inputs.room_priors(campaign, room, bands)
+    priors = inputs.room_priors(campaign, room, bands)
+    if result is not None:
         with located(str(campaign.path)):
             absorption = replace(room_posterior(result, priors, bands), findings=doubts)
     return {
@@ -47,9 +50,7 @@ def design_arguments(
         "bands": bands,
         "absorption": absorption,
         "directivities": inputs.source_directivities(campaign, bands),
-        "options": DesignOptions(
-            **{**_options(campaign, after_fit=result is not None), **(changed or {})}
-        ),
+        "options": DesignOptions(**{**options, **(changed or {})}),
         "settings": campaign.settings,
     }
 
@@ -60,13 +61,3 @@ def _measured_scene(campaign: Campaign, scene: Scene) -> Scene:
     tables = inputs.read_measurements(campaign.with_rows(campaign.tables))
     names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
     return named_pairs(scene, names)
-
-
-def _options(campaign: Campaign, *, after_fit: bool) -> dict[str, Any]:
-    """Return the options of ``[design]``; its criterion counts without a fit."""
-    table = campaign.design
-    same = {f.name for f in fields(DesignOptions)} & type(table).model_fields.keys()
-    options: dict[str, Any] = {name: getattr(table, name) for name in same}
-    options["criterion"] = None if after_fit else table.criterion
-    options |= {"n_draws": table.draws, "position_sd_m": table.position_sd}
-    return options | {"sources": tuple(table.sources), "receivers": tuple(table.receivers)}

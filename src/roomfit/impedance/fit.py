@@ -29,7 +29,6 @@ from roomfit.base.typing import ComplexArray, FloatArray, IntArray, Progress
 from roomfit.impedance.data import MODEL_ERROR, Observed, complex_frequency_hz, deviation
 from roomfit.impedance.laws import Curve
 from roomfit.impedance.wave_model import (
-    Gradients,
     Nuisances,
     State,
     WaveModel,
@@ -200,12 +199,8 @@ def data_rows(problem: Problem, x: FloatArray, correction: ComplexArray) -> Rows
     Real parts first, then imaginary ones (levels: one row each). `correction`, of shape (n_pairs,
     n_frequencies), is added to the pressures of the short paths and fixed.
     """
-    observed = problem.observed
-    g = gradients(problem.model, r0_of(problem, x), state_of(problem, x))
-    g = g._replace(pressure=g.pressure + correction)
-    factor = factor_of(problem, x)
-    weight = math.sqrt(2.0) / problem.sd
-    predicted, slope = factor * g.pressure, factor[:, :, None] * _slopes(problem, x, g)
+    observed, weight = problem.observed, math.sqrt(2.0) / problem.sd
+    predicted, slope = _predicted(problem, x, correction)
     if not observed.has_phase:
         size = np.abs(predicted)
         by = np.real(np.conj(predicted / size)[:, :, None] * slope)
@@ -246,21 +241,26 @@ def source_spectra(problem: Problem, predicted: ComplexArray) -> ComplexArray:
     return np.asarray(gains[:, :, 0])
 
 
-def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
-    """Return the derivative of the pressure by every unknown, (n_pairs, n_frequencies, n)."""
+def _predicted(
+    problem: Problem, x: FloatArray, correction: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return pressures and their derivatives by every unknown, (n_pairs, n_frequencies, n)."""
     pairs, layout = problem.model.scene.pairs, problem.layout
-    slope = np.zeros((*g.pressure.shape, layout.size), dtype=np.complex128)
+    pressure, by_r0, by_source, by_receiver, by_speed = gradients(
+        problem.model, r0_of(problem, x), state_of(problem, x)
+    )
+    pressure = pressure + correction
+    slope = np.zeros((*pressure.shape, layout.size), dtype=np.complex128)
     for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
-        slope[:, :, place] = g.by_r0[:, i, :, None] * curve.values(x[place])[1]
-    for moves, column, by in (
-        (layout.source, pairs[:, 0], g.by_source),
-        (layout.receiver, pairs[:, 1], g.by_receiver),
-    ):
+        slope[:, :, place] = by_r0[:, i, :, None] * curve.values(x[place])[1]
+    ends = ((layout.source, by_source), (layout.receiver, by_receiver))
+    for (moves, by), column in zip(ends, pairs.T, strict=True):
         slope[:, :, moves.place] = np.einsum("paf,npa->pfn", by, moves.shift_m[:, column])
     if layout.speed.stop > layout.speed.start:
-        slope[:, :, layout.speed.start] = g.by_speed * problem.nuisances.speed_sd
-    slope[:, :, layout.factor] = g.pressure[:, :, None] * layout.exponent
-    return slope
+        slope[:, :, layout.speed.start] = by_speed * problem.nuisances.speed_sd
+    slope[:, :, layout.factor] = pressure[:, :, None] * layout.exponent
+    factor = factor_of(problem, x)
+    return factor * pressure, factor[:, :, None] * slope
 
 
 # |R0| above 1 weighs like a residual of its excess over this.

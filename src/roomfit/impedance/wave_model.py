@@ -304,18 +304,14 @@ def predicted_pressure(
     return out
 
 
-class Gradients(NamedTuple):
-    """Pressures of short paths with plane waves at the walls, and their derivatives."""
+def gradients(
+    model: WaveModel, r0: ComplexArray, state: State
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """Return pressures of short paths with plane waves at the walls, and their derivatives.
 
-    pressure: ComplexArray  # (n_pairs, n_frequencies)
-    by_r0: ComplexArray  # (n_pairs, n_materials, n_frequencies)
-    by_source: ComplexArray  # (n_pairs, 3, n_frequencies), 1/m times the pressure
-    by_receiver: ComplexArray  # likewise
-    by_speed: ComplexArray  # (n_pairs, n_frequencies), by the relative change of the speed
-
-
-def gradients(model: WaveModel, r0: ComplexArray, state: State) -> Gradients:
-    """Return pressures of short paths with their exact derivatives."""
+    By R0, source, receiver, see `pressure_gradients`, and the relative change of the speed of
+    sound, (n_pairs, n_frequencies).
+    """
     paths, k = model.paths, wavenumber_per_m(model, state)
     p, by_r0, by_source, by_receiver, by_k = pressure_gradients(
         paths.pair_first,
@@ -330,7 +326,7 @@ def gradients(model: WaveModel, r0: ComplexArray, state: State) -> Gradients:
         np.ascontiguousarray(r0, dtype=np.complex128),
     )
     k_by_speed = -(k + 1j * model.air_per_m) / (1.0 + state.speed)
-    return Gradients(p, by_r0, by_source, by_receiver, by_k * k_by_speed)
+    return p, by_r0, by_source, by_receiver, by_k * k_by_speed
 
 
 def plane_reflection(r0: ComplexArray, cosine: FloatArray) -> ComplexArray:
