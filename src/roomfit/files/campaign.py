@@ -342,16 +342,11 @@ def explained(
     alike = [c for c in complaints if c[0][:2] == complaints[0][0][:2]]
     place, first = unknown[0] if unknown else max(alike, key=lambda c: len(c[0]))
     kind, given, last = first["type"], first.get("input"), first["loc"][-1] if first["loc"] else ""
-    keys, field, inside = _walk(table, place[:-1] if unknown else place)
+    field, inside = _walk(table, place[:-1] if unknown else place)
     words = " ".join(((field and field.description) or "").split()).partition(". ")[0].rstrip(".")
     hint: str | None = f"{words} (roomfit schema prints all keys)".lstrip()
     what, found = f"a value in the {file} is not what it must be", repr(given)
-    key = ".".join([*keys, str(last)] if unknown else keys)
-    gone = schema.GONE.get(f"{key} = {given}" if kind == "literal_error" else key)
-    if gone is not None:
-        what = f"a key or value of the {file} is of an earlier version"
-        found, needed, hint = repr(last if unknown else given), "keys of this version", gone
-    elif unknown:
+    if unknown:
         known = sorted(_fields(inside)) if inside else []
         what, needed = f"unknown key in the {file}", f"one of {', '.join(known)}" if known else ""
         found, hint = repr(last), did_you_mean(str(last), known)
@@ -391,20 +386,18 @@ def _in_our_words(message: str) -> str:
 
 def _walk(
     table: type[BaseModel], place: tuple[int | str, ...]
-) -> tuple[list[str], FieldInfo | None, type[BaseModel] | None]:
-    """Return the keys on the way to a place, the innermost one, and the table below it if any.
+) -> tuple[FieldInfo | None, type[BaseModel] | None]:
+    """Return the innermost key on the way to a place, and the table below it if any.
 
     Names of materials and the like, and numbers of rows, are no keys.
     """
-    keys: list[str] = []
     field, model = None, table
     below: type[BaseModel] | None = table
     for part in place:
         if (own := _fields(model).get(str(part))) is not None:
-            keys.append(str(part))
             field, below = own, next(_models_within(own.annotation), None)
             model = below or model
-    return keys, field, below
+    return field, below
 
 
 def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:

@@ -24,24 +24,6 @@ from roomfit.room.scene import Point, PointGroup
 from roomfit.settings import SETTING_LIMITS, Method, Settings
 from roomfit.signals.measurement import Level
 
-GONE = {
-    "identify.method = certified": "no minimum is proven any more; leave method out",
-    "identify.method = posterior": "no posterior is sampled any more; leave method out, and "
-    "intervals come from profiles",
-    **{
-        f"materials.impedance = {law}": "R0 is a spline, or a constant; leave the key out"
-        for law in ("miki", "resonator", "panel", "auto")
-    },
-    "materials.impedance_start": "the search has starts at random; leave the key out",
-    "settings.posterior_draws": "draws are made with the model itself where "
-    "room parameters alone are fitted, and nowhere else; leave the key out",
-    "identify.smoothness_per_octave": "bands are fitted by themselves; leave the key out",
-}
-"""Keys of earlier versions, and their values as ``key = value``, with what to do without them.
-
-Names of materials, sources and so on are left out: ``materials.NAME.key`` is ``materials.key``.
-"""
-
 BECAUSE = "because"  # why the range of a number ends where it does, in its schema
 
 
