@@ -84,7 +84,7 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
     ("line", "words"),
     [
         ("bounds = [0.9, 0.2]", r"lower bound is not below the upper(?s:.*)carpet"),
-        ("absorption = [0.1, 0.2]", r"one value per fitted band(?s:.*)6 values"),
+        ("absorption = [0.1, 0.2]", r"one value per band(?s:.*)6 values"),
         ("prior = {mean = 0.3, sd = 0.0}", r"prior.sd(?s:.*)what is known is fixed"),
         ("scattering = {centres_hz = [0, -5], values = [0.1, 0.2]}", r"centres_hz\[1\]"),
         ("prior = {mean = 0.3, sd = 0.1}\nbounds = [0.4, 0.9]", "outside of its bounds"),
@@ -344,7 +344,7 @@ def test_bands_of_the_command_line_keep_the_values_of_the_campaign_s(tmp_path):
     assert arguments["bands"].centres_hz.tolist() == [500.0, 1000.0]
     carpet = next(k for k in arguments["materials"] if k.name == "carpet")
     assert carpet.known.tolist() == [0.3, 0.4]
-    with pytest.raises(InputError, match="one value per fitted band"):
+    with pytest.raises(InputError, match="one value per band"):
         priors_between(tmp_path, "absorption = [0.2, 0.3, 0.4]", (500, 2000))
     with pytest.raises(InputError, match="centres"):
         priors_between(tmp_path, "absorption = {centres_hz = [500], values = [0.1, 0.2]}")

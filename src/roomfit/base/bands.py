@@ -103,6 +103,17 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
     return np.asarray(exact)
 
 
+def one_per_band(values: ArrayLike, bands: Bands, where: str | None = None) -> FloatArray:
+    """Return one value a band, shape (n_bands,), of one for all or of as many; refuse others."""
+    found = np.atleast_1d(np.array(values, dtype=np.float64))
+    if found.size not in (1, len(bands)):
+        what = "a list has not one value per band"
+        hint = "write one for all; in a file {centres_hz = [...], values = [...]} fits any bands"
+        needed = f"{len(bands)} values, or one, for {bands_in_words(bands, range(len(bands)))}"
+        raise InputError(what, where=where, found=f"{found.size} values", needed=needed, hint=hint)
+    return np.broadcast_to(found, len(bands)).copy()
+
+
 def bands_in_words(bands: Bands, chosen: Iterable[int], notes: Sequence[str] = ()) -> str:
     """Return bands by their numbers for a sentence, each with a note in brackets if there are any.
 

@@ -34,7 +34,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.kernels import kernel
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.room.mesh import area_vectors_m2, mean_free_path_m, volume_m3
-from roomfit.room.scene import Room, Scene, distances_m, triangle_material
+from roomfit.room.scene import Room, Scene, check_apart, triangle_material
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
     expected_images,
@@ -114,13 +114,7 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
 
     In a room that is no box, only images that are visible from the receiver.
     """
-    distances = distances_m(scene)
-    if distances.size and distances.min() < 1e-6:
-        source, receiver = scene.pairs[int(np.argmin(distances))]
-        where = f"{scene.sources[source].name} and {scene.receivers[receiver].name}"
-        what, found = "a source stands where a receiver is", "less than a micrometre apart"
-        hint = "correct one of the two positions"
-        raise InputError(what, where=where, found=found, needed="two places", hint=hint)
+    check_apart(scene)
     parts: dict[int, tuple[FloatArray | IntArray, ...]] = {}
     if scene.room.shoebox_m is not None:
         for i, (s, r) in enumerate(scene.pairs):

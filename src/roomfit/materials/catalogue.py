@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import did_you_mean, nearest, read_only
-from roomfit.base.bands import Bands
+from roomfit.base.bands import Bands, one_per_band
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Edit, Finding, Remedy
 from roomfit.base.logit import expit, logit
@@ -443,7 +443,7 @@ def material_prior(
     sd = np.full(n, DEFAULT_LOGIT_SD)
     if prior is not None:
         mean, sd = _stated_prior(prior, bands, lower, upper, f"{where}.prior")
-    known = None if absorption is None else _per_band(absorption, n, f"{where}.absorption")
+    known = None if absorption is None else one_per_band(absorption, bands, f"{where}.absorption")
     if known is not None and not np.all((known >= lower) & (known <= upper)):
         what = "a given absorption lies outside of its own bounds"
         found = f"{known[np.argmax((known < lower) | (known > upper))]:g}"
@@ -452,7 +452,7 @@ def material_prior(
         raise InputError(what, where=f"{where}.absorption", found=found, needed=needed, hint=hint)
     specified = None
     if scattering is not None and not isinstance(scattering, str):
-        specified = _per_band(scattering, n, f"{where}.scattering")
+        specified = one_per_band(scattering, bands, f"{where}.scattering")
     return MaterialPrior(
         name,
         mean,
@@ -476,8 +476,8 @@ def _stated_prior(
         with located(where):
             alpha, alpha_sd = catalogue_prior(prior, bands)
     else:
-        alpha = _per_band(prior[0], len(bands), f"{where}.mean")
-        alpha_sd = _per_band(prior[1], len(bands), f"{where}.sd")
+        alpha = one_per_band(prior[0], bands, f"{where}.mean")
+        alpha_sd = one_per_band(prior[1], bands, f"{where}.sd")
     inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
     if not np.all(inside):
         band = int(np.argmin(inside))
@@ -488,15 +488,3 @@ def _stated_prior(
         raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     between = (alpha - lower) / (upper - lower)
     return logit_prior(between, alpha_sd / (upper - lower))
-
-
-def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:
-    array = np.atleast_1d(np.array(values, dtype=np.float64))
-    if array.size == 1:
-        return np.full(n, array[0])
-    if array.size != n:
-        what = "a list has not one value per fitted band"
-        needed = f"{n} values, or a single number for all bands"
-        hint = "{centres_hz = [...], values = [...]} fits any bands"
-        raise InputError(what, where=where, found=f"{array.size} values", needed=needed, hint=hint)
-    return array

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.base.arguments import check_known
-from roomfit.base.bands import Bands
+from roomfit.base.arguments import check_known, float_array
+from roomfit.base.bands import Bands, one_per_band
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
@@ -48,14 +48,8 @@ class Change:
     def __post_init__(self) -> None:
         if not self.sds:
             object.__setattr__(self, "sds", (0.0,) * len(self.values))
-        if len(self.sds) != len(self.values) or not all(sd >= 0.0 for sd in self.sds):
-            raise InputError(
-                "a change has not one standard deviation per value",
-                where=self.material,
-                found=f"{', '.join(f'{sd:g}' for sd in self.sds)} for {len(self.values)} values",
-                needed="none, or as many as there are values, 0 or larger",
-                hint="leave the standard deviations out, or give one a value",
-            )
+        name = f"standard deviations of the absorption of {self.material}, one a value,"
+        float_array(name, self.sds, (len(self.values),), low=0.0)
 
 
 def _not_written(text: str) -> InputError:
@@ -203,23 +197,10 @@ def _normals(n: int, seed: int, *key: int | FloatArray) -> FloatArray:
 
 def values_per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
     """Return values and standard deviations of a change, one a band; refuse another number."""
-    values, sds = np.array(change.values), np.array(change.sds)
-    if values.size not in (1, len(bands)):
-        raise InputError(
-            "a change has not one value per predicted band",
-            found=f"{values.size} values",
-            needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
-            hint="write one value for all bands",
-        )
-    if not (np.all(values >= 0.0) and np.all(values <= high)):
-        is_area = 1.0 < high < np.inf
-        raise InputError(
-            f"absorption {'area' if is_area else 'coefficient'} out of range",
-            found=f"{values.max():g}",
-            needed=f"0 to {high:g} m2" if is_area else "0 <= a <= 1 (energy, dimensionless)",
-            hint="if these are percentages, divide by 100",
-        )
-    return np.broadcast_to(values, len(bands)).copy(), np.broadcast_to(sds, len(bands)).copy()
+    unit, name = "m2" if 1.0 < high < np.inf else "", f"the absorption of {change.material}"
+    values = one_per_band(change.values, bands)
+    values = float_array(name, values, (None,), low=0.0, high=high, unit=unit)
+    return values, one_per_band(change.sds, bands)
 
 
 def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding, ...]:

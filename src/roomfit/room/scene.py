@@ -607,6 +607,17 @@ def distances_m(scene: Scene) -> FloatArray:
     return np.asarray(np.linalg.norm(steps, axis=1))
 
 
+def check_apart(scene: Scene) -> None:
+    """Refuse a source that stands where a receiver of one of its pairs is."""
+    distances = distances_m(scene)
+    if distances.size and distances.min() < 1e-6:
+        source, receiver = scene.pairs[int(np.argmin(distances))]
+        where = f"{scene.sources[source].name} and {scene.receivers[receiver].name}"
+        what, found = "a source stands where a receiver is", "less than a micrometre apart"
+        hint = "correct one of the two positions"
+        raise InputError(what, where=where, found=found, needed="two places", hint=hint)
+
+
 # A point nearer to a wall than 1 cm counts as inside it; positions are seldom known better.
 NEAREST_WALL_M = 0.01
 NEAREST_PAIR_M = 0.01

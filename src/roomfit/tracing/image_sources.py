@@ -24,7 +24,7 @@ from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import FloatArray, IntArray, Progress
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.room.mesh import mean_free_path_m, surface_area_m2, volume_m3
-from roomfit.room.scene import Room, Scene, distances_m, object_pairs, triangle_material
+from roomfit.room.scene import Room, Scene, check_apart, object_pairs, triangle_material
 from roomfit.tracing.beams import DONE, Found, Limits, beam_tree
 from roomfit.tracing.lattice import Lattice, box_images, count_of_box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, Paths
@@ -278,16 +278,7 @@ def trace_images(
         in_all = in_every_state(traced, single, scene, scattering)
         return replace(in_all, objects=object_pairs(scene))
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
-    distances = distances_m(scene)
-    if distances.size and distances.min() < 1e-6:
-        source, receiver = scene.pairs[int(np.argmin(distances))]
-        raise InputError(
-            "a source stands where a receiver is",
-            where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
-            found="less than a micrometre apart",
-            needed="two places",
-            hint="correct one of the two positions",
-        )
+    check_apart(scene)
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
     reflectors = reflectors_of(scene.room)

@@ -6,16 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
 
 from roomfit.base.arguments import check_known
-from roomfit.base.bands import Bands
+from roomfit.base.bands import Bands, one_per_band
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
-from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import explained, read_toml
 from roomfit.files.inputs import in_these
 from roomfit.files.schema import (
@@ -202,23 +201,11 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> questio
         mean = known.absorption[known.materials.index(table.material)]
         sd = np.zeros(len(bands))
     else:
-        mean = _in_bands(cast("float | list[float] | Spectrum", table.absorption), bands)
+        mean = one_per_band(in_these(table.absorption, bands, "absorption"), bands)
         sd = np.where((mean > 0.0) & (mean < 1.0), 0.05 if table.sd is None else table.sd, 0.0)
     return question.Product(
         name, mean, sd, table.cost_per_m2, table.piece_m2, table.depth_m, entry or ""
     )
-
-
-def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> FloatArray:
-    found = np.atleast_1d(np.array(in_these(values, bands, "absorption"), dtype=np.float64))
-    if found.size not in (1, len(bands)):
-        raise InputError(
-            "a product has not one absorption per predicted band",
-            found=f"{found.size} values",
-            needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
-            hint="{centres_hz = [...], values = [...]} fits any bands",
-        )
-    return np.broadcast_to(found, len(bands)).copy()
 
 
 def _target(table: TargetTable, room: Room) -> tuple[question.Target, tuple[Finding, ...]]:
