@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -94,9 +95,48 @@ KINDS = (
 )
 
 
+def collada(polygons: Polygons, unit_m: float) -> str:
+    """Each polygon a geometry of its own in a file of the smallest kind, z up."""
+    libraries: dict[str, list[str]] = {"effects": [], "materials": [], "geometries": []}
+    nodes = []
+    for k, (name, corners) in enumerate(polygons):
+        n, numbers = len(corners), " ".join(f"{x / unit_m:.8g}" for c in corners for x in c)
+        libraries["effects"].append(
+            f'<effect id="e{k}"><profile_COMMON><technique sid="t"><lambert/></technique>'
+            "</profile_COMMON></effect>"
+        )
+        libraries["materials"].append(
+            f'<material id="m{k}" name="{name}"><instance_effect url="#e{k}"/></material>'
+        )
+        libraries["geometries"].append(
+            f'<geometry id="g{k}" name="{name}"><mesh><source id="s{k}"><float_array id="f{k}" '
+            f'count="{3 * n}">{numbers}</float_array><technique_common><accessor source="#f{k}" '
+            f'count="{n}" stride="3">' + "".join(f'<param name="{a}" type="float"/>' for a in "XYZ")
+            + f'</accessor></technique_common></source><vertices id="v{k}"><input '
+            f'semantic="POSITION" source="#s{k}"/></vertices><polylist material="x" count="1">'
+            f'<input semantic="VERTEX" source="#v{k}" offset="0"/><vcount>{n}</vcount>'
+            f"<p>{' '.join(map(str, range(n)))}</p></polylist></mesh></geometry>"
+        )  # fmt: skip
+        nodes.append(
+            f'<node><instance_geometry url="#g{k}"><bind_material><technique_common>'
+            f'<instance_material symbol="x" target="#m{k}"/></technique_common></bind_material>'
+            "</instance_geometry></node>"
+        )
+    parts = "".join(f"<library_{k}>{''.join(v)}</library_{k}>" for k, v in libraries.items())
+    return (
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
+        f'<unit meter="{unit_m}"/><up_axis>Z_UP</up_axis></asset>{parts}<library_visual_scenes>'
+        f'<visual_scene id="V">{"".join(nodes)}</visual_scene></library_visual_scenes><scene>'
+        '<instance_visual_scene url="#V"/></scene></COLLADA>'
+    )
+
+
 def saved(folder: Path, polygons: Polygons, suffix: str) -> RoomSpec:
-    """Polygons as OBJ; triangles, each with corners of its own, as STL and GLB."""
+    """Polygons as OBJ and, in inches, COLLADA; triangles, with own corners, as STL and GLB."""
     path = folder / f"room{suffix}"
+    if suffix == ".dae":
+        path.write_text(collada(polygons, 0.0254))
+        return RoomSpec(file=path)
     if suffix == ".obj":
         lines, n = [], 1
         for name, corners in polygons:
@@ -120,9 +160,10 @@ def saved(folder: Path, polygons: Polygons, suffix: str) -> RoomSpec:
     return RoomSpec(file=path, up="z")
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("shape", PLANS)
+@pytest.mark.parametrize(
+    ("shape", "suffix"), [*product(PLANS, (".obj", ".stl", ".glb")), ("L", ".dae")]
+)
 def test_however_a_room_is_drawn_it_is_the_air_inside(tmp_path, shape, kind, suffix):
     polygons, more_m3, more_m2 = drawn(PLANS[shape], kind)
     room, _ = read_room(saved(tmp_path, polygons, suffix))
@@ -172,6 +213,18 @@ def test_a_wall_of_one_sheet_across_faces_that_go_on_behind_it_makes_two_rooms(t
         (said,) = (f for f in findings if f.code is Code.SEVERAL_SPACES)
         assert (said.severity, said.evidence["n_spaces"]) == ("warning", 2)
         assert ("with 2 of 3" in said.sentence) == ("with 1 of 3" in said.sentence) == bool(at_m)
+
+
+@pytest.mark.parametrize("turn", [list, turned])
+@pytest.mark.parametrize("other", [(4, 0, 5, 5), (4, 1, 5, 3)])
+def test_of_two_faces_back_to_back_each_room_has_its_own(tmp_path, turn, other):
+    """Of two boxes that share a wall or a part of it, fronts of both outwards or inwards."""
+    a = prism(rectangle(0, 0, 4, 5), 0.0, 3.0, "a")
+    spec = saved(tmp_path, turn(a + prism(rectangle(*other), 0.0, 3.0, "b")), ".obj")
+    for at_m, name, size in (((1, 2, 1), "a", (4, 5)), ((7, 2, 1), "b", other[2:])):
+        room, _ = read_room(spec, [at_m])
+        assert volume_m3(room.mesh) == pytest.approx(3 * np.prod(size), rel=1e-6)
+        assert {material[0] for material in room.materials} == {name}
 
 
 @pytest.mark.parametrize("shape", PLANS)

@@ -51,7 +51,8 @@ from roomfit.tracing.bvh import WAITING, Tree, nearest_in_tree, tree_of
 from roomfit.tracing.walls import EDGE_M, facet_table, ray_key, scattered, uniform
 
 # Every face stands this far before its front, so that of two back to back sound strikes the one
-# that looks at it; and is so much wider, to open no gap.
+# that looks at it (of a wall between bodies whose fronts look outwards, behind it); and is so much
+# wider, to open no gap.
 _FRONT_M, _EDGE_M = 1e-8, 1e-7
 # A flight goes on from this far before the wall that it met: the way there was free.
 _BACK_M = 1e-6
@@ -109,12 +110,12 @@ class _Space(NamedTuple):
     sounded: _Sounded = _Sounded()
 
 
-def _faces_of(mesh: Mesh) -> _Faces:
+def _faces_of(mesh: Mesh, outwards: BoolArray) -> _Faces:
     corners = corners_m(mesh)
     n = len(corners)
     ones = np.ones(n, dtype=np.bool_)
     facets = facet_table(corners[:, 0], corners[:, 1], corners[:, 2], ones, ones, np.arange(n))
-    facets.table[:, 3] += _FRONT_M
+    facets.table[:, 3] += _FRONT_M * np.where(outwards, -1.0, 1.0)
     facets.table[:, 12] *= _EDGE_M / EDGE_M
     boxes = np.stack((corners.min(axis=1) - 2 * _EDGE_M, corners.max(axis=1) + 2 * _EDGE_M), axis=1)
     return _Faces(
@@ -388,7 +389,7 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 3)
     drawn, crossed = mesh, np.zeros(len(mesh.triangles), dtype=np.bool_)
     for n_cuts in range(4):
-        explored = _explored(mesh, positions)
+        explored = _explored(mesh, positions, np.zeros(len(mesh.triangles), dtype=np.bool_))
         if explored is None:
             return drawn, ()
         faces, spaces = explored
@@ -398,6 +399,10 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
         if is_whole or n_cuts == 3:
             break
         mesh, crossed = _cut(mesh, hidden > 0.0, crossed)
+    outwards = _between_bodies(faces, spaces)
+    if outwards.any() and (explored := _explored(mesh, positions, outwards)) is not None:
+        faces, spaces = explored
+        sounded = spaces[0].sounded
     bounds = spaces[0].bounds
     mostly = sounded.hidden_m2 > 0.5 * np.repeat(faces.area_m2, 2)
     if np.any(bounds & ~mostly) and mostly.any():  # those were reached through a crack
@@ -415,9 +420,26 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
     return room, findings
 
 
-def _explored(mesh: Mesh, positions_m: FloatArray) -> tuple[_Faces, list[_Space]] | None:
+def _between_bodies(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
+    """Return which triangles lie in walls to other rooms, where most fronts look out of this."""
+    n_sides = 2 * len(faces.area_m2)
+    before = np.repeat(faces.normal, 2, axis=0) * np.resize([-1.0, 1.0], n_sides)[:, None]
+    off_m = np.einsum("ij,ij->i", before, np.repeat(faces.corners_m[:, 0], 2, axis=0))
+    # planes to the millimetre, their edges at no round number; of each side and of its other side
+    planes = np.round(np.column_stack((before, off_m)) + 3.7e-4, 3)
+    own = list(map(tuple, planes.tolist()))
+    back_m2, front_m2 = spaces[0].bounds.reshape(-1, 2).T @ faces.area_m2
+    others = [s.bounds for s in spaces[1:] if not s.is_wall and back_m2 > 2 * front_m2]
+    beyond = {own[i] for bounds in others for i in np.flatnonzero(bounds)}
+    shared = {own[i ^ 1] for i in np.flatnonzero(spaces[0].bounds)} & beyond
+    return np.array([plane in shared for plane in own]).reshape(-1, 2).any(axis=1)
+
+
+def _explored(
+    mesh: Mesh, positions_m: FloatArray, outwards: BoolArray
+) -> tuple[_Faces, list[_Space]] | None:
     """Return the room and other spaces worth a word; None where no flight meets a face."""
-    faces = _faces_of(mesh)
+    faces = _faces_of(mesh, outwards)
     looks, within = _spaces(faces, positions_m)
     if not looks:
         return None
