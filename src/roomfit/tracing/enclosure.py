@@ -432,7 +432,7 @@ def _between_bodies(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
     others = [s.bounds for s in spaces[1:] if not s.is_wall and back_m2 > 2 * front_m2]
     beyond = {own[i] for bounds in others for i in np.flatnonzero(bounds)}
     shared = {own[i ^ 1] for i in np.flatnonzero(spaces[0].bounds)} & beyond
-    return np.array([plane in shared for plane in own]).reshape(-1, 2).any(axis=1)
+    return np.asarray(np.reshape([plane in shared for plane in own], (-1, 2)).any(axis=1))
 
 
 def _explored(
