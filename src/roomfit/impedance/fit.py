@@ -326,7 +326,6 @@ class ImpedanceFit(NamedTuple):
     normal: FloatArray  # (n_unknowns, n_unknowns), J^T J of data and priors
     effective: float  # how many numbers the data determined
     evaluations: int
-    rounds: int
     ending: Ending  # converged where R0 moved no more from one round to the next
 
 
@@ -415,7 +414,7 @@ def polish(
     return ImpedanceFit(
         problem, x, passive(r0), correction, rough,
         residual, jacobian, found.normal, effective,
-        evaluations, rounds, ending,
+        evaluations, ending,
     )  # fmt: skip
 
 

@@ -80,10 +80,8 @@ class ImpedanceSettings:
     model_error: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("random_starts", "model_error"):
-            value = getattr(self, name)
-            if value is not None:
-                check_range(name, value, 0.0, np.inf)
+        check_range("random_starts", self.random_starts, 0.0, np.inf)
+        check_range("model_error", self.model_error or 0.0, 0.0, np.inf)
 
 
 @one_blas_thread
@@ -337,7 +335,6 @@ def judged_result(
         predicted=_predicted_pairs(fit),
         ending=fit.ending.advice,
         evaluations=fit.evaluations,
-        rounds=fit.rounds,
     )
 
 
@@ -361,7 +358,6 @@ def _of_data(problem: Problem) -> ImpedanceResult:
         pairs=tuple(name[:2] for name in pair_names(problem.model.scene)),
         measured=observed.pressure,
         predicted=np.zeros_like(observed.pressure),
-        expected_rms=problem.sd,
     )
 
 

@@ -115,7 +115,6 @@ class ImpedanceResult:
     pairs: tuple[tuple[str, str], ...]  # source and receiver
     measured: ComplexArray  # (n_pairs, n_frequencies)
     predicted: ComplexArray  # likewise, with gains and delays
-    expected_rms: FloatArray  # likewise: rms of a perfect fit's residual, by noise and model error
     seconds: float = 0.0
     nuisances: tuple[Estimate, ...] = ()  # of the measurement, estimated together with the walls
     # Sum of squared residuals over what noise and model error explain; 1 and less is good. This
@@ -128,7 +127,6 @@ class ImpedanceResult:
     n_starts: int = 0
     ending: str = "nothing was fitted"
     evaluations: int = 0  # 0 where nothing was fitted
-    rounds: int = 0
     seed: int | None = None
 
     def __str__(self) -> str:
@@ -274,7 +272,6 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
                 "measured_imag": result.measured[i].imag,
                 "predicted_real": result.predicted[i].real if fitted else None,
                 "predicted_imag": result.predicted[i].imag if fitted else None,
-                "expected_rms": result.expected_rms[i],
             }
             for i, (source, receiver) in enumerate(result.pairs)
         ],
@@ -285,7 +282,6 @@ def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
             "agreeing_starts": result.agreeing_starts,
             "ending": result.ending,
             "evaluations": result.evaluations,
-            "rounds": result.rounds,
             "seconds": round(result.seconds, 3),
             "seed": result.seed,
         },
