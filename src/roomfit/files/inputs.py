@@ -360,17 +360,12 @@ def identify_arguments(
     """
     check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)
-    own = described = campaign.bands
-    bands = own if between_hz is None else bands_between(own.kind, *between_hz)
-    if not np.isin(bands.centres_hz, own.centres_hz).all():
-        # all of both: more than a list of the campaign has values for, which is then refused
-        ends_hz = np.concatenate([own.centres_hz, bands.centres_hz])
-        described = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
-    at = np.searchsorted(described.centres_hz, bands.centres_hz)
+    bands = campaign.bands
+    bands = bands if between_hz is None else bands_between(bands.kind, *between_hz)
     return {
         "scene": campaign_scene(campaign, room),
         "measurements": read_measurements(campaign),
-        "materials": in_bands(material_priors(campaign, room.materials, room.mesh, described), at),
+        "materials": room_priors(campaign, room, bands),
         "bands": bands,
         "settings": campaign.settings,
         "directivities": source_directivities(campaign, bands),
@@ -397,11 +392,15 @@ def campaign_room(campaign: schema.Campaign) -> Room:
 def room_priors(
     campaign: schema.Campaign, room: Room, bands: Bands | None = None
 ) -> tuple[MaterialPrior, ...]:
-    """Return what is said of each of the room's materials, in some of the campaign's bands."""
-    priors = material_priors(campaign, room.materials, room.mesh)
-    if bands is None:
-        return priors
-    return in_bands(priors, np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz)))
+    """Return what is said of each of the room's materials, in the campaign's bands or in others."""
+    own = described = campaign.bands
+    bands = own if bands is None else bands
+    if not np.isin(bands.centres_hz, own.centres_hz).all():
+        # all of both: more than a list of the campaign has values for, which is then refused
+        ends_hz = np.concatenate([own.centres_hz, bands.centres_hz])
+        described = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
+    priors = material_priors(campaign, room.materials, room.mesh, described)
+    return in_bands(priors, np.searchsorted(described.centres_hz, bands.centres_hz))
 
 
 def speech_db(campaign: schema.Campaign) -> FloatArray | None:

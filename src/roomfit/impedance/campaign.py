@@ -107,14 +107,13 @@ def _scene(campaign: Campaign, room: Room, measured: list[MeasurementTable]) -> 
         raise InputError(
             what, where=str(campaign.path), found=" to ".join(twice), needed=needed, hint=hint
         )
-    sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
-    receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})
-    for source in sources:
-        directivity = campaign.source_tables[source.name].directivity
+    sources, receivers = campaign.sources, campaign.receivers
+    for name, _ in pairs:
+        directivity = campaign.source_tables[name].directivity
         if directivity != "omni":
             raise InputError(
                 "impedances need sources that radiate alike in all directions",
-                where=f"{campaign.path}, sources.{source.name}.directivity",
+                where=f"{campaign.path}, sources.{name}.directivity",
                 found=repr(directivity),
                 needed='"omni"; a directivity is refused so that no result pretends to obey it',
                 hint="leave out directivity, and fit where the source radiates alike",
