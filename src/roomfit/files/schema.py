@@ -562,8 +562,8 @@ class ProjectTable(Table):
     """What was measured with."""
     logo: str | None = None
     """A PNG or JPEG file beside the campaign."""
-    language: Literal["en", "de"] = "en"
-    """Of the report's headings."""
+    language: Literal["en", "de", "fr"] = "en"
+    """Of pages that a client sees."""
 
 
 class ReverberationTable(Table):

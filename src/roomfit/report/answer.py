@@ -60,8 +60,8 @@ def report_html(
     inputs_sha256 : mapping of str to str, optional
         SHA-256 of every input file by its name.
     project : mapping of str to str, optional
-        Of client, author, date, instruments, language ("en" or "de": headings and the first
-        screen, not findings) and logo (a data URL of PNG or JPEG) what there is.
+        Of client, author, date, instruments, language ("en", "de" or "fr") and logo (a data
+        URL of PNG or JPEG) what there is.
 
     Examples
     --------
@@ -103,8 +103,7 @@ def result_blocks(
     First the answer; folded away how sure it is, and where it comes from. `advice` is what findings
     advise to write into the campaign.
     """
-    about, files = dict(project or {}), inputs_sha256 or {}
-    language, logo = about.pop("language", "en"), about.pop("logo", "")
+    about, files = project or {}, inputs_sha256 or {}
     first, *usable = (*remaining_usable(answer), headline(answer))
     head: list[Block] = [
         Sentence(first, "lead"),
@@ -146,8 +145,8 @@ def result_blocks(
         tuple(head),
         tuple(blocks),
         project=tuple((k, v) for k in _PROJECT if (v := about.get(k))),
-        logo=logo,
-        language="de" if language == "de" else "en",
+        logo=about.get("logo", ""),
+        language=about.get("language", "en"),
         names=frozenset() if scene is None else names_of(scene, title, *files, *about.values()),
     )
 

@@ -123,6 +123,7 @@ class Blocks:
     project: tuple[tuple[str, str], ...] = ()
     logo: str = ""  # a data URL
     language: str = "en"
+    is_said: bool = False  # its texts are in the language already
     names: frozenset[str] = frozenset()  # of walls, places, persons: the same in every language
 
     def drawings(self) -> tuple[Drawing, ...]:
@@ -151,12 +152,12 @@ def names_of(scene: Scene, *others: str) -> frozenset[str]:
 
 def in_its_language(answer: Blocks) -> Blocks:
     """Return an answer with all its texts in its language; one that has them stays as it is."""
-    if answer.language == "en":
+    if answer.language == "en" or answer.is_said:
         return answer
     found = [f for b in _flat(answer.blocks) if isinstance(b, Findings) for f in b.findings]
     files = [PurePath(file).name for f in found for file in f.about.files]
     said: Blocks = _said(answer, translator(answer.language, answer.names.union(files)))
-    return said
+    return replace(said, is_said=True)
 
 
 # fields of blocks, tables and findings that hold words
@@ -174,8 +175,6 @@ def _said(value: Any, say: Translator) -> Any:
             return value._replace(name=say(value.name))
         case tuple() | list():
             return type(value)(_said(one, say) for one in value)
-        case Drawing() if value.say is not None:
-            return value
         case Table():
             columns = value.described()
             rows = [list(map(_in_words, row, columns)) for row in value.rows]

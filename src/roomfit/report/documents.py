@@ -18,6 +18,7 @@ from typing import Any
 
 from roomfit.base.door import quiet
 from roomfit.base.errors import InputError
+from roomfit.report.wording import DASH
 
 OWN_PAGE = '<meta name="generator" content="roomfit">'
 _VARIABLE = re.compile(r"var\(--[\w-]+,\s*(#\w+)\)")
@@ -143,7 +144,7 @@ def _append(book: Any, parent: Any, pictures: Mapping[str, bytes]) -> None:
             _append_item(book, node)
         elif kind == "dt":
             line = book.add_paragraph()
-            line.add_run(f"{_text(node)}: ").bold = True
+            line.add_run(f"{_text(node)} {DASH} ").bold = True
             line.add_run(_text(node.getnext()))
         elif kind == "table":
             _append_table(book, node)
@@ -244,7 +245,8 @@ def _words(node: Any, without: str) -> Iterator[str]:
 
 def _plain(text: str) -> str:
     """Return a text on one line; letters that steer, which no document may hold, as ``?``."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    text = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
+    return "".join(c if c.isprintable() or c.isspace() else "?" for c in text)
 
 
 def _undated(archive: bytes) -> bytes:

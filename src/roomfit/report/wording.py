@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from roomfit.base.errors import InputError
 from roomfit.base.table import Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
 
@@ -55,26 +56,28 @@ def translator(language: str, names: frozenset[str] = frozenset()) -> Translator
     """
     if language == "en":
         return str
-    text = files("roomfit.report").joinpath(f"templates/{language}.toml").read_text("utf-8")
-    return translator_by(tomllib.loads(text), names)
+    words = files("roomfit.report").joinpath(f"templates/{language}.toml")
+    if not words.is_file():
+        raise InputError("no words of this language", found=repr(language), needed="en, de or fr")
+    return translator_by(tomllib.loads(words.read_text("utf-8")), names)
 
 
 def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Translator:
     """Return what translates whole texts by a table of them.
 
     Words between braces in an entry stand for names, numbers and other entries. Numbers have the
-    decimal separator of the entry "0.1". `names`, which others gave to walls, places and files,
-    stay as they are, be they words of the table.
+    decimal separator and the space of the entry "0.1 %". `names`, which others gave to walls,
+    places and files, stay as they are, be they words of the table.
 
     Examples
     --------
-    >>> say = translator_by({"{n} of {all} bands": "{n} von {all} Bändern", "0.1": "0,1"})
+    >>> say = translator_by({"{n} of {all} bands": "{n} von {all} Bändern", "0.1 %": "0,1 %"})
     >>> say("3 of 6 bands"), say("0.25 s"), say("brick")
     ('3 von 6 Bändern', '0,25 s', 'brick')
     >>> translator_by({"all": "alle", "{a} and {b}": "{a} und {b}"}, ["all"])("all and all")
     'all und all'
     """
-    point = table.get("0.1", "0.1")[1]
+    point, space = table.get("0.1 %", "0.1 %")[1:4:2]
     holes = []
     # the longest first, so that what is most said decides; short ones as they are written
     lengths = {e: max(len(_HOLE.sub("", e)), _SHORT) for e in table if _HOLE.search(e)}
@@ -104,7 +107,7 @@ def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Tran
         if text in table:
             return table[text]
         if not text.strip() or _NUMBERS.fullmatch(text):
-            return re.sub(r"(?<=\d)\.(?=\d)", point, text)
+            return re.sub(r"(?<=\d)\.(?=\d)", point, text).replace(" %", f"{space}%")
         for pattern, english in holes:
             found = pattern.fullmatch(text)
             if found is None or (lengths[english] == _SHORT and text.endswith(".")):
