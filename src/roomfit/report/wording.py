@@ -77,7 +77,7 @@ def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Tran
     >>> translator_by({"all": "alle", "{a} and {b}": "{a} und {b}"}, ["all"])("all and all")
     'all und all'
     """
-    point, space = table.get("0.1 %", "0.1 %")[1:4:2]
+    example = table.get("0.1 %", "0.1 %")
     holes = []
     # the longest first, so that what is most said decides; short ones as they are written
     lengths = {e: max(len(_HOLE.sub("", e)), _SHORT) for e in table if _HOLE.search(e)}
@@ -107,7 +107,7 @@ def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Tran
         if text in table:
             return table[text]
         if not text.strip() or _NUMBERS.fullmatch(text):
-            return re.sub(r"(?<=\d)\.(?=\d)", point, text).replace(" %", f"{space}%")
+            return re.sub(r"(?<=\d)\.(?=\d)", example[1], text).replace(" %", example[3:])
         for pattern, english in holes:
             found = pattern.fullmatch(text)
             if found is None or (lengths[english] == _SHORT and text.endswith(".")):
