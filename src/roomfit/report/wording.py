@@ -58,7 +58,8 @@ def translator(language: str, names: frozenset[str] = frozenset()) -> Translator
         return str
     words = files("roomfit.report").joinpath(f"templates/{language}.toml")
     if not words.is_file():
-        raise InputError("no words of this language", found=repr(language), needed="en, de or fr")
+        what, hint = "no words of this language", "set language to one of them, or leave it out"
+        raise InputError(what, found=repr(language), needed='"en", "de" or "fr"', hint=hint)
     return translator_by(tomllib.loads(words.read_text("utf-8")), names)
 
 
