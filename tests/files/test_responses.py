@@ -272,6 +272,21 @@ def test_responses_in_rows_of_a_mat_file_are_not_taken_for_columns(tmp_path):
         read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_hz=48_000.0))
 
 
+def test_an_array_of_sources_receivers_and_samples_is_refused_with_how_to_save_it(tmp_path):
+    """And so saved its columns are the responses, those of the last axis but one in turn."""
+    each = np.stack([decay() * (1.0 + k) for k in range(6)]).reshape(2, 3, -1)
+    np.save(tmp_path / "a.npy", each)
+    spec = ResponseSpec(tmp_path / "a.npy", channel=4, sampling_rate_hz=8000.0)
+    mat = write_mat(tmp_path / "a.mat", RIR=each)
+    for own in (spec, ResponseSpec(mat, variable="RIR", channel=4, sampling_rate_hz=8000.0)):
+        with pytest.raises(
+            InputError, match=r"have 3 axes(.*\n)*.*a\.reshape\(-1, a\.shape\[-1\]\)"
+        ):
+            read_response(own)
+    np.save(tmp_path / "a.npy", each.reshape(-1, each.shape[-1]).T)
+    np.testing.assert_array_equal(read_response(spec)[0].pressure, each[1, 1])
+
+
 def write_mat73(path: Path, compression: str | None = None) -> np.ndarray:
     """Write what MATLAB writes with -v7.3: axes reversed, a class by each variable, a header."""
     columns = np.stack([decay(seed=1), decay(seed=2)], axis=1)

@@ -60,7 +60,7 @@ def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
 def _array(variables: Variables, key: str, name: str | None) -> FloatArray:
     """Return the variable of a MAT file that a key names."""
     values, listed = variables.get(name or ""), _listed(variables)
-    if values is not None and not isinstance(values, str) and values.ndim == 2 and values.size:
+    if values is not None and not isinstance(values, str) and values.ndim > 1 and values.size:
         return values
     if values is not None:
         what = "the variable of the MAT file holds no array of real numbers"
@@ -108,6 +108,11 @@ def _variables(content: bytes) -> Variables:
 
 def _column(values: FloatArray, spec: ResponseSpec, rate_hz: float, kind: str) -> Recording:
     """Return the response that is asked for of responses as columns; a single one may be a row."""
+    if values.ndim > 2:
+        what, found = f"the responses have {values.ndim} axes", str(values.shape)
+        hint = "where time is the last: in NumPy a.reshape(-1, a.shape[-1]).T, the first axis "
+        hint += "slowest; in MATLAB reshape(a, [], size(a, ndims(a))).', the first axis fastest"
+        raise InputError(what, found=found, needed="two axes, one response a column", hint=hint)
     n_rows, n_columns = values.shape
     if n_columns > n_rows > 1:
         what, found = "the responses stand in rows", f"{n_rows} rows and {n_columns} columns"
@@ -296,7 +301,7 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
         raise InputError(what, found=found, needed="a number in Hz beside the file", hint=hint)
     try:
         values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
-        if values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
+        if values.dtype.kind not in "fiu" or not values.size:
             raise ValueError(f"an array of {values.dtype} of shape {values.shape}")
     except DAMAGE as error:
         raise InputError(
@@ -305,5 +310,6 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
             needed="a file of numpy.save with real numbers, one response a column",
             hint="save floats as (n_samples, n_responses), and say with channel which is whose",
         ) from error
-    columns = values.astype(np.float64).reshape(len(values), -1)
+    columns = values.astype(np.float64)
+    columns = columns[:, None] if columns.ndim == 1 else columns
     return _column(columns, spec, spec.sampling_rate_hz, "response")
