@@ -9,12 +9,11 @@ import numpy as np
 from roomfit.base.air import Air
 from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.laws import r0_of_impedance
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Scene, room_from_mesh
 from simulated_rooms.exact_box import damped_wavenumber_per_m, exact_box_pressure
 from simulated_rooms.impedance_box import SURFACES, noisy
-from simulated_rooms.wall_impedances import miki_layer, panel, resonator
+from simulated_rooms.wall_impedances import miki_layer, panel, r0_of_impedance, resonator
 
 SPEED_M_S = 343.0
 F_HZ = np.arange(100.0, 1001.0, 25.0)

@@ -27,7 +27,7 @@ from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish, start_of
 from roomfit.impedance.fit import r0_of as r0_matrix
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
-from roomfit.impedance.laws import absorption_normal, impedance_of_r0, r0_of_impedance
+from roomfit.impedance.laws import absorption_normal, impedance_of_r0
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import (
     Nuisances,
@@ -49,7 +49,7 @@ from simulated_rooms.impedance_box import (
     true_r0,
 )
 from simulated_rooms.polyhedral_rooms import room_of, slanted_cells
-from simulated_rooms.wall_impedances import miki_layer, resonator
+from simulated_rooms.wall_impedances import miki_layer, r0_of_impedance, resonator
 from simulated_rooms.wave_images import bulk_reacting, image_pressure, locally_reacting
 
 F_HZ = np.arange(100.0, 1001.0, 10.0)

@@ -10,11 +10,10 @@ import numpy as np
 from roomfit.base.air import Air
 from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.laws import r0_of_impedance
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Scene, room_from_mesh
 from simulated_rooms.exact_box import damped_wavenumber_per_m, exact_box_pressure
-from simulated_rooms.wall_impedances import miki_layer, resonator
+from simulated_rooms.wall_impedances import miki_layer, r0_of_impedance, resonator
 
 LENGTHS_M = (5.0, 4.0, 3.0)
 SURFACES = ("west", "east", "south", "north", "floor", "ceiling")

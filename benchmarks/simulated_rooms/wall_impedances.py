@@ -10,6 +10,12 @@ import numpy as np
 from roomfit.base.typing import ComplexArray
 
 
+def r0_of_impedance(impedance: ComplexArray) -> ComplexArray:
+    """Return the reflection coefficient at normal incidence, ``(Z - 1) / (Z + 1)``."""
+    z = np.asarray(impedance, dtype=np.complex128)
+    return np.asarray((z - 1.0) / (z + 1.0))
+
+
 def miki_layer(
     frequency_hz: ComplexArray,
     flow_resistivity: complex,

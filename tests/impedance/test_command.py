@@ -16,10 +16,10 @@ from roomfit.impedance.campaign import (
     read_spectrum,
 )
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
-from roomfit.impedance.laws import r0_of_impedance
 from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
 from roomfit.signals.response import ImpulseResponse
 from simulated_rooms.impedance_box import PAIRS, RECEIVERS_M, SOURCES_M, box_scene, noisy, true_r0
+from simulated_rooms.wall_impedances import r0_of_impedance
 
 TAU_S = 0.006
 F_HZ = np.arange(200.0, 801.0, 20.0)

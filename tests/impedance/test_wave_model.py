@@ -17,7 +17,6 @@ from roomfit.impedance.laws import (
     absorption_random,
     causal_curve,
     impedance_of_r0,
-    r0_of_impedance,
     spline,
 )
 from roomfit.impedance.wave_model import (
@@ -43,7 +42,7 @@ from simulated_rooms.impedance_box import (
     true_r0,
 )
 from simulated_rooms.polyhedral_rooms import room_of, slanted_cells
-from simulated_rooms.wall_impedances import miki_layer, panel, resonator
+from simulated_rooms.wall_impedances import miki_layer, panel, r0_of_impedance, resonator
 from simulated_rooms.wave_images import image_pressure, locally_reacting
 
 

@@ -214,12 +214,6 @@ def causal_curve(frequency_hz: ComplexArray) -> CausalCurve | Spline:
 _ANGLES = 64
 
 
-def r0_of_impedance(impedance: ComplexArray) -> ComplexArray:
-    """Return the reflection coefficient at normal incidence, ``(Z - 1) / (Z + 1)``."""
-    z = np.asarray(impedance, dtype=np.complex128)
-    return np.asarray((z - 1.0) / (z + 1.0))
-
-
 def impedance_of_r0(r0: ComplexArray) -> ComplexArray:
     """Return ``Z = (1 + R0) / (1 - R0)``; infinite where R0 is 1."""
     r = np.asarray(r0, dtype=np.complex128)
