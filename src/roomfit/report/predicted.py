@@ -276,7 +276,10 @@ def parameter_rows(
         v, c = table[name], table[name].change
         label, decimals = wording.PARAMETERS[name].label, wording.PARAMETERS[name].decimals
         has_measured = bool(np.isfinite(v.measured).any())
-        steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
+        steps = [
+            f"{wording.number(x, 1, signed=True)} JND" if np.isfinite(x) and c is None else ""
+            for x in v.jnd
+        ]
         measured = [
             Cell(wording.number(m, decimals), (step,) if step else ())
             for m, step in zip(v.measured, steps, strict=True)

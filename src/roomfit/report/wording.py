@@ -108,7 +108,8 @@ def translator_by(table: Mapping[str, str], names: Collection[str] = ()) -> Tran
         if text in table:
             return table[text]
         if not text.strip() or _NUMBERS.fullmatch(text):
-            return re.sub(r"(?<=\d)\.(?=\d)", example[1], text).replace(" %", example[3:])
+            text = re.sub(r"(?<=\d)\.(?=\d)", example[1], text)
+            return re.sub(r"(?<=\d) (?=[%°a-zA-Z])", example[3], text)
         for pattern, english in holes:
             found = pattern.fullmatch(text)
             if found is None or (lengths[english] == _SHORT and text.endswith(".")):
