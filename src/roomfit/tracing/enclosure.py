@@ -399,7 +399,7 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
         if is_whole or n_cuts == 3:
             break
         mesh, crossed = _cut(mesh, hidden > 0.0, crossed)
-    outwards = _between_bodies(faces, spaces)
+    outwards = _between_bodies(drawn, faces, spaces)
     if outwards.any() and (explored := _explored(mesh, positions, outwards)) is not None:
         faces, spaces = explored
         sounded = spaces[0].sounded
@@ -420,18 +420,33 @@ def reached(mesh: Mesh, positions_m: ArrayLike = ()) -> tuple[Mesh, tuple[Findin
     return room, findings
 
 
-def _between_bodies(faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
-    """Return which triangles lie in walls to other rooms, where most fronts look out of this."""
-    n_sides = 2 * len(faces.area_m2)
-    before = np.repeat(faces.normal, 2, axis=0) * np.resize([-1.0, 1.0], n_sides)[:, None]
-    off_m = np.einsum("ij,ij->i", before, np.repeat(faces.corners_m[:, 0], 2, axis=0))
-    # planes to the millimetre, their edges at no round number; of each side and of its other side
-    planes = np.round(np.column_stack((before, off_m)) + 3.7e-4, 3)
-    own = list(map(tuple, planes.tolist()))
+def _planes(corners_m: FloatArray, normals: FloatArray) -> list[tuple[float, ...]]:
+    """Return the plane of each side and where it looks, to the millimetre."""
+    looks = np.repeat(normals, 2, axis=0) * np.resize([-1.0, 1.0], 2 * len(normals))[:, None]
+    off_m = np.einsum("ij,ij->i", looks, np.repeat(corners_m[:, 0], 2, axis=0))
+    # rounded at no round number
+    return [*map(tuple, np.round(np.column_stack((looks, off_m)) + 3.7e-4, 3).tolist())]
+
+
+def _between_bodies(drawn: Mesh, faces: _Faces, spaces: Sequence[_Space]) -> BoolArray:
+    """Return which triangles lie in walls to other rooms, of bodies whose fronts look outwards.
+
+    Such a wall closes a body: edges of it are those of others, the other way round.
+    """
+    own = _planes(faces.corners_m, faces.normal)
     back_m2, front_m2 = spaces[0].bounds.reshape(-1, 2).T @ faces.area_m2
     others = [s.bounds for s in spaces[1:] if not s.is_wall and back_m2 > 2 * front_m2]
     beyond = {own[i] for bounds in others for i in np.flatnonzero(bounds)}
     shared = {own[i ^ 1] for i in np.flatnonzero(spaces[0].bounds)} & beyond
+    normals = area_vectors_m2(drawn) / np.maximum(triangle_areas_m2(drawn), 1e-300)[:, None]
+    ways = np.stack((drawn.triangles, np.roll(drawn.triangles, -1, axis=1)), axis=2)
+    sides = [plane in shared for plane in _planes(corners_m(drawn), normals)]
+    in_wall = np.repeat(np.reshape(sides, (-1, 2)).any(axis=1), 3)
+    edges = ways.reshape(-1, 2)
+    around = set(map(tuple, edges[~in_wall].tolist()))
+    closing = sum((b, a) in around for a, b in edges[in_wall].tolist())
+    if 3 * closing < np.count_nonzero(in_wall):
+        shared = set()
     return np.asarray(np.reshape([plane in shared for plane in own], (-1, 2)).any(axis=1))
 
 
@@ -484,7 +499,10 @@ def _cut(mesh: Mesh, some: BoolArray, crossed: BoolArray) -> tuple[Mesh, BoolArr
         parts, spans = [corners[i]], np.stack((low[i], high[i]))[None]
         near = np.all((low <= high[i]) & (high >= low[i]), axis=1)
         near[i] = False
-        for j in np.flatnonzero(near):
+        near = np.flatnonzero(near)
+        off_m = np.einsum("jki,ji->jk", corners[i] - corners[near, :1], normals[near])
+        below, above = off_m.min(axis=1) < -WELD_TOLERANCE_M, off_m.max(axis=1) > WELD_TOLERANCE_M
+        for j in near[below == above]:  # on both sides of that plane, or in it
             touched = np.all((spans[:, 0] <= high[j]) & (spans[:, 1] >= low[j]), axis=1)
             n_pairs += int(np.count_nonzero(touched))
             check_limit("crossings", n_pairs, "the room file")
