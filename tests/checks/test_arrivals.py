@@ -15,6 +15,7 @@ from roomfit.base.findings import Code
 from roomfit.checks.arrivals import arrival_findings
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.checks.usable import check_recordings
+from roomfit.report.check import parameters_csv
 from roomfit.room.scene import scene_of, shoebox_room
 
 RATE_HZ = 48_000
@@ -383,6 +384,47 @@ def test_which_recording_is_usable_in_which_band_is_a_table():
     assert f"{1e3 * checked.travel_s[-1]:.1f}" in row and row.count("<") == 3
     page = checked._repr_html_()
     assert "2000" in page and "&lt;" in page
+
+
+def test_decays_are_as_bent_as_the_sum_of_two_exponentials(tmp_path):
+    """ISO 3382-2:2008, annex B, of the curve in closed form: T of .3 s, and of 1.5 s 17 dB below.
+
+    Tolerances are three standard deviations of the mean over twelve recordings of noise.
+    """
+    t = np.arange(int(2.4 * RATE_HZ)) / RATE_HZ
+    rng = np.random.default_rng(8)
+    files = [
+        replace(m, samples=np.append(np.zeros(int(RATE_HZ * d / C)), rng.normal(size=t.size) * e))
+        for m in recordings()
+        for d in [float(np.linalg.norm(np.subtract(SOURCES[m.source], RECEIVERS[m.receiver])))]
+        for e in [np.sqrt(10 ** (-6 * t / 0.3) + 0.02 * 10 ** (-6 * t / 1.5))]
+    ]
+    checked = check_recordings(SCENE, files, BANDS)
+    level_db = 10 * np.log10((0.3 * 10 ** (-6 * t / 0.3) + 0.03 * 10 ** (-6 * t / 1.5)) / 0.33)
+    exact = {}
+    for name, depth in (("T20_s", 25), ("T30_s", 35)):
+        own = (level_db < -5) & (level_db > -depth)
+        exact[name] = -60 / np.polyfit(t[own], level_db[own], 1)[0]
+        np.testing.assert_allclose(checked.parameter(name).mean(axis=0), exact[name], rtol=0.06)
+    bent = 1e3 * (1 - np.corrcoef(t[own], level_db[own])[0, 1] ** 2)
+    curvature = 100 * (exact["T30_s"] / exact["T20_s"] - 1)
+    assert curvature > 15 and bent > 15
+    assert checked.curvature_percent.mean() == pytest.approx(curvature, abs=4)
+    assert checked.nonlinearity_permille.mean() == pytest.approx(bent, rel=0.15)
+    straight = check_recordings(SCENE, recordings(), BANDS)
+    assert abs(straight.curvature_percent.mean()) < 2 and straight.nonlinearity_permille.mean() < 3
+    said = str(checked)
+    assert "12 pairs of 3 sources and 4 receivers: as many as ISO 3382-2 asks for the prec" in said
+    assert "At 500 Hz to 2 kHz decays are bent" in said
+    assert "7 pairs" in str(check_recordings(SCENE, files[:7], BANDS))
+    table = tmp_path / "room_parameters.csv"
+    table.write_text(parameters_csv(checked))
+    read = roomfit.read_parameters(table)[0]
+    assert len(read) == 12
+    np.testing.assert_allclose([v.values["T20_s"] for v in read], checked.parameter("T20_s"), 1e-3)
+    (curve,) = checked.plot(2).axes[0].get_lines()[1:2]
+    level = np.interp(curve.get_xdata(), checked.pairs[2].direct_s + t, level_db)
+    assert np.abs(level - curve.get_ydata())[level > -40].mean() < 1.5
 
 
 # The room and its positions.

@@ -230,7 +230,9 @@ def test_check_of_a_campaign_shows_every_recording_by_band_and_draws_the_room(
     # of 2.15 m; peak over noise, and the decay range at 500 and 1000 Hz
     assert re.fullmatch(r"LS1 to MP1 \(LS1_MP1.wav\) +5.9\d +6.27 +\d\d +4\d +4\d", row)
     assert "Schroeder frequency, Hz" in shown
-    assert [f.name for f in out.iterdir() if f.name[0] != "."] == ["room.svg"]
+    files = {f.name for f in out.iterdir()}
+    assert {"room.svg", "room_parameters.csv", "recordings.html"} < files
+    assert "recording_01_LS1_MP1.svg" in files
     assert run_command(monkeypatch, "check", campaign, "--out", out) == 2
 
 

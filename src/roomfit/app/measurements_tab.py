@@ -199,14 +199,19 @@ class MeasurementsTab(elements.Tab):
         self.from_above.set_visibility(bool(view["plan"] and self.positions))
         points = [dict(point) for point in self.positions]  # what is typed changes them
         self.plan.tell(plan={"edges": view["plan"], "points": points, "walls": view["walls"]})
-        if elements.emptied(self.listed, (view["table"], view["rows"])):
+        if elements.emptied(self.listed, (view["page"], view["rows"])):
             with self.listed:
                 elements.heading("Recordings")
                 rows = [
                     [row[key] for key in ("file", "source", "receiver")] for row in view["rows"]
                 ]
-                if view["table"]:
-                    elements.markup(f'<div class="scroll" tabindex="0">{view["table"]}</div>')
+                if view["page"]:
+                    page, table = (
+                        view["page"],
+                        f"files/{project.CHECKED}/room_parameters.csv?save=1",
+                    )
+                    elements.markup(f'<a href="{table}" download>Download room_parameters.csv</a>')
+                    elements.markup(f'<iframe class="report" title="Decays" src="{page}"></iframe>')
                 elif rows:
                     elements.show_table("By name", ("Recording", "Source", "Receiver"), rows)
                 else:

@@ -43,13 +43,13 @@ QUICK, FULL = "first", "result"
 RESULTS = (f"{QUICK}/result.json", f"{FULL}/result.json")
 TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 """Products and targets, and the folder of the answer."""
-LISTENED = "listened"
+LISTENED, CHECKED = "listened", "checked"
 RECORDINGS, DRY = "recordings", "dry"
 POSITIONS, DECAY_TIMES = "positions", "decay-times"
 """Folders of tables that were sent."""
 MEAN, MEAN_FILES = "mean", ("reverberation.html", "reverberation.csv", "result.json")
 """The folder of what decay times alone say, and what it holds."""
-_SHOWN = (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
+_SHOWN = (QUICK, FULL, MEAN, TREATMENT, LISTENED, CHECKED, "exports")
 _KINDS = {"sources": "source", "receivers": "receiver"}
 _NAMES_ALONE = {"source", "receiver", "file"}
 _LONGEST_NAME = 120

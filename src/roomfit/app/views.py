@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, RoomfitError, located
 from roomfit.base.findings import Finding
-from roomfit.base.table import Table, html_of
 from roomfit.cli.check import check_campaign_recordings
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.draft import check_unit
@@ -32,7 +31,6 @@ from roomfit.files.rooms import read_mesh
 from roomfit.files.schema import ResponseSpec, RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
 from roomfit.formats.model import UnchosenSpaceError
-from roomfit.report.check import describe
 from roomfit.report.room_figure import MOST_FACES, outline_m
 from roomfit.report.wording import material_colour
 from roomfit.room.mesh import Mesh, area_vectors_m2, triangle_areas_m2
@@ -130,7 +128,7 @@ def recordings_view(folder: Path) -> dict[str, Any]:
     view: dict[str, Any] = {
         "template": next(iter(project.templates(content)), ""),
         "decay_times": str(content.get("reverberation", {}).get("file", "")),
-        "table": "",
+        "page": "",
         **{key: [] for key in ("findings", "advised", "plan", "walls")},
     }
     rows: dict[str, dict[str, Any]] = {}
@@ -184,12 +182,12 @@ def _examine(folder: Path, view: dict[str, Any]) -> None:
     """Add what `roomfit check` says of the recordings."""
     try:
         campaign = read_campaign(project.campaign_file(folder))
-        checked = check_campaign_recordings(campaign)
+        out = project.inside(folder, folder / project.CHECKED)
+        checked = check_campaign_recordings(campaign, out, overwrite=True)
         view["advised"] = advice_view(checked.findings, campaign)
         view["findings"] += map(finding_content, checked.findings)
-        for table in describe(checked).head:
-            if isinstance(table, Table):
-                view["table"] = html_of(replace(table, kind="data"))
+        made_ns = (out / "recordings.html").stat().st_mtime_ns
+        view["page"] = f"files/{project.CHECKED}/recordings.html?of={made_ns}"
     except UnchosenChannelError as error:
         view["advised"] = advice_view([unchosen(error)], campaign)
         view["findings"].append(finding_content(unchosen(error)))

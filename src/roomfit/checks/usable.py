@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
@@ -23,9 +24,9 @@ from roomfit.model.patterns import Directivities
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene
 from roomfit.settings import DECAY_RANGE_DB
-from roomfit.signals.decay import PARAMETER_NAMES
+from roomfit.signals.decay import ParameterName, evaluated_line
 from roomfit.signals.iso3382 import MeasuredValues
-from roomfit.signals.measurement import Measurement
+from roomfit.signals.measurement import MeasuredPair, Measurement
 from roomfit.signals.response import find_onset
 
 
@@ -33,21 +34,71 @@ from roomfit.signals.response import find_onset
 class CheckedRecordings(Shown):
     """Recordings by pair and band before a fit.
 
-    Rows are recordings in their order; those that a fit refuses have NaN throughout.
+    Rows of arrays are recordings in their order; those that a fit refuses have NaN throughout.
     """
 
     described_in: ClassVar[str] = "check"
     measurements: tuple[Measurement, ...]
+    pairs: tuple[MeasuredPair | None, ...]  # what is known of each; None: a fit refuses it
     bands: Bands
-    onset_s: FloatArray  # (n,), arrival of the direct sound after emission by the file's own clock
-    travel_s: FloatArray  # (n,), the same by the geometry
-    peak_to_noise_db: FloatArray  # (n, n_bands)
-    decay_range_db: FloatArray  # (n, n_bands), in which the decay curve is reliable
-    usable: BoolArray  # (n, n_bands), whether a decay rises above the noise
-    has_t20: BoolArray  # (n, n_bands), whether it has the range for T20
     decay_s: FloatArray  # (n_bands,), median reverberation time; NaN where none is known
     schroeder_hz: FloatArray  # (n_bands,)
     findings: tuple[Finding, ...]
+
+    def _rows(self, of: Callable[[MeasuredPair], ArrayLike]) -> FloatArray:
+        shape = len(self.pairs), len(self.bands)
+        rows = [np.broadcast_to(np.nan if p is None else of(p), shape[1:]) for p in self.pairs]
+        return np.array(rows, dtype=np.float64).reshape(shape)
+
+    @property
+    def onset_s(self) -> FloatArray:
+        """Arrival of the direct sound after emission by the file's own clock, shape (n,)."""
+        return self._rows(lambda p: find_onset(p.response, p.measurement.where))[:, 0]
+
+    @property
+    def travel_s(self) -> FloatArray:
+        """The same by the geometry, shape (n,)."""
+        return self._rows(lambda p: p.direct_s)[:, 0]
+
+    @property
+    def peak_to_noise_db(self) -> FloatArray:
+        """Peak over noise, shape (n, n_bands)."""
+        return self._rows(lambda p: p.noise.peak_to_noise_db)
+
+    @property
+    def decay_range_db(self) -> FloatArray:
+        """Range in which the decay curve is reliable, shape (n, n_bands)."""
+        return self._rows(lambda p: p.curve.usable_db)
+
+    @property
+    def usable(self) -> BoolArray:
+        """Whether a decay rises above the noise, shape (n, n_bands)."""
+        return self._rows(lambda p: p.noise.tail_time_constant_s) > 0.0
+
+    @property
+    def has_t20(self) -> BoolArray:
+        """Whether it has the range for T20, shape (n, n_bands)."""
+        return np.isfinite(self.parameter("T20_s"))
+
+    def parameter(self, name: ParameterName) -> FloatArray:
+        """Return a room parameter of every recording, NaN where not valid, shape (n, n_bands)."""
+        return self._rows(lambda p: p.parameters.of(name))
+
+    @property
+    def curvature_percent(self) -> FloatArray:
+        """By how much T30 is longer than T20, of ISO 3382-2:2008, B.3, shape (n, n_bands)."""
+        return 100.0 * (self.parameter("T30_s") / self.parameter("T20_s") - 1.0)
+
+    @property
+    def nonlinearity_permille(self) -> FloatArray:
+        """How bent the curves are that T30, or T20, is read from, shape (n, n_bands)."""
+
+        def of(pair: MeasuredPair) -> list[float]:
+            each = range(len(self.bands))
+            lines = (evaluated_line(pair.curve, pair.parameters, band) for band in each)
+            return [np.nan if line is None else line.nonlinearity_permille for line in lines]
+
+        return self._rows(of)
 
     @property
     def in_doubt(self) -> bool:
@@ -121,7 +172,13 @@ def check_recordings(
         known = {f.code for f in causes}
         findings += [f for f in examine(BEFORE_THE_FIT, found) if f.code not in known]
         findings += room.check_schroeder(found)
-    return _table(own, given, bands, found, tuple(findings))
+    pairs = {} if found is None else {p.measurement: p for p in found.measured.responses}
+    decay_s = np.full(len(bands), np.nan)
+    if found is not None:
+        decay_s = median_decay_s(found.measured, bands.centres_hz)
+    of_bands = decay_s, schroeder_hz(decay_s, volume_m3(scene.room.mesh))
+    each = tuple(given), tuple(map(pairs.get, given))
+    return CheckedRecordings(*each, bands, *of_bands, tuple(findings))
 
 
 def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> list[Finding]:
@@ -137,31 +194,3 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
         numbers = {"files": [m.where for m in files]}
         findings.append(Finding(Code.RECORDING_UNUSABLE, about_files(*files), text, numbers))
     return findings
-
-
-def _table(
-    scene: Scene,
-    responses: Sequence[Measurement],
-    bands: Bands,
-    found: Recorded | None,
-    findings: tuple[Finding, ...],
-) -> CheckedRecordings:
-    """Return the table of recordings."""
-    pairs = {} if found is None else {p.measurement: p for p in found.measured.responses}
-    n, shape = len(responses), (len(responses), len(bands))
-    onset_s, travel_s = np.full((2, n), np.nan)
-    noise_db, range_db = np.full((2, *shape), np.nan)
-    usable, has_t20 = np.zeros((2, *shape), dtype=np.bool_)
-    for i, m in enumerate(responses):
-        pair = pairs.get(m)
-        if pair is not None:
-            onset_s[i], travel_s[i] = find_onset(pair.response, m.where), pair.direct_s
-            noise_db[i], range_db[i] = pair.noise.peak_to_noise_db, pair.curve.usable_db
-            usable[i] = pair.noise.tail_time_constant_s > 0.0
-            has_t20[i] = pair.parameters.valid[PARAMETER_NAMES.index("T20_s")]
-    decay_s = np.full(len(bands), np.nan)
-    if found is not None:
-        decay_s = median_decay_s(found.measured, bands.centres_hz)
-    of_bands = decay_s, schroeder_hz(decay_s, volume_m3(scene.room.mesh))
-    each = onset_s, travel_s, noise_db, range_db, usable, has_t20
-    return CheckedRecordings(tuple(responses), bands, *each, *of_bands, findings)

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from roomfit.base.errors import InputError, located
-from roomfit.base.whole_files import check_output_folder, whole_output_folder
+from roomfit.base.whole_files import (
+    check_output_folder,
+    whole_output_folder,
+    write_text_atomically,
+)
 from roomfit.cli.terminal import say
 from roomfit.files import edits
 from roomfit.files.campaign import Campaign, read_campaign
@@ -17,8 +21,8 @@ from roomfit.files.inputs import check_campaign, check_room
 from roomfit.files.remedies import advice, advised, changed_since, chosen, unchosen
 from roomfit.files.responses.recordings import UnchosenChannelError
 from roomfit.files.schema import RoomSpec
-from roomfit.report.blocks import Blocks, Drawing
-from roomfit.report.check import describe, room_blocks
+from roomfit.report.blocks import Drawing, Part
+from roomfit.report.check import describe, parameters_csv, room_blocks
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
 
@@ -86,7 +90,7 @@ def _check(
     if of_room or of_recordings:
         say(how_to_write(file))
     if out is not None:
-        say(f"\nroom.svg is in {out}")
+        say(f"\nrecordings.html, room_parameters.csv and pictures are in {out}")
     if checked.in_doubt:
         return 1
     say(f"\nthen: roomfit identify {shlex.quote(str(file))} --out result")
@@ -103,8 +107,8 @@ def check_campaign_recordings(
 ) -> CheckedRecordings:
     """Read everything that a campaign names and examine it, see `check_recordings`.
 
-    `out` is a folder for a picture of room and positions, `between_hz` are bands to examine in
-    place of the campaign's.
+    `out` is a folder for a page, pictures of room and recordings, and ``room_parameters.csv``;
+    `between_hz` are bands to examine in place of the campaign's.
     """
     # all of roomfit: a room by itself does not wait for it
     from roomfit.checks.usable import check_recordings
@@ -124,14 +128,20 @@ def check_campaign_recordings(
         )
     fitted = {m.pair_name[:2] for m in measurements if m.use == "fit"}
     alike = plane_findings(named_pairs(scene, fitted))
+    checked = replace(checked, findings=(*checked.findings, *alike))
     if out is not None:
         from roomfit.report.figures import write_pictures
+        from roomfit.report.html import page
 
         of = measured_scene(scene, measurements)
         picture = Drawing("room", "The room", "", "room_figure.room_figure", (of,))
+        shown = describe(checked)
+        shown = replace(shown, blocks=(*shown.blocks, Part("The room", (picture,), "room")))
         with whole_output_folder(out, overwrite=overwrite) as folder:
-            write_pictures(folder, Blocks("", (picture,), ()), png_too=png)
-    return replace(checked, findings=(*checked.findings, *alike))
+            write_pictures(folder, shown, png_too=png)
+            write_text_atomically(folder / "recordings.html", page(shown))
+            write_text_atomically(folder / "room_parameters.csv", parameters_csv(checked))
+    return checked
 
 
 def how_to_write(campaign: Path, result: Path | None = None) -> str:

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import groupby
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roomfit.base.logit import Z95, expit
-from roomfit.base.table import Cell, Column, Table, Value, text_of
+from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of
+from roomfit.base.typing import FloatArray
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry, catalogue, find_material
-from roomfit.report.blocks import Block, Blocks, Findings, Sentence, Terms
-from roomfit.report.wording import count, short_hertz
+from roomfit.report.blocks import Block, Blocks, Drawing, Findings, Part, Sentence, Terms
+from roomfit.report.wording import (
+    DASH,
+    band_ranges,
+    band_tables,
+    count,
+    in_file_name,
+    number,
+    parameter,
+    short_hertz,
+)
+from roomfit.signals.decay import PARAMETER_NAMES
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from roomfit.checks.usable import CheckedRecordings
     from roomfit.files.remedies import Advice
     from roomfit.room.scene import RoomCheck
@@ -42,6 +55,13 @@ def room_blocks(title: str, check: RoomCheck, advice: Advice | None = None) -> B
     return Blocks(title, (Sentence(title), Terms(terms), materials, Sentence(last)), (findings,))
 
 
+def draw(checked: CheckedRecordings, *chosen: int) -> Figure:
+    """Return energy-time and decay curves of the chosen recordings over each other, or of all."""
+    from roomfit.report.figures import recording_figure  # which imports matplotlib
+
+    return recording_figure(checked, *chosen)
+
+
 def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks:
     """Return recordings by band before a fit, what is wrong with them, and what is advised."""
     rows: list[Sequence[Value]] = []
@@ -66,13 +86,91 @@ def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks
             cells = [f"{v:.{digits}f}" if k else "-" for v, k in zip(values, known, strict=True)]
             rows.append((title, "", "", "", *cells))
     heads = ("", "direct", "geometry", "S/N", *(f"{f:g}" for f in checked.bands.centres_hz))
-    caption = (
-        "Recordings: direct sound in ms after emission, and by the geometry; peak over noise,\n"
-        "and decay range by band, in dB; < = too little for T20, - = not to be used"
+    notes = (
+        "Direct sound in ms after emission, and by the geometry; peak over noise and decay range",
+        "in dB, < = too little for T20, - = not to be used",
     )
-    shown: tuple[Block, ...] = (Table(caption, heads, rows),) if rows else ()
+    shown = (Table("Recordings", heads, rows, notes),) if rows else ()
     findings = Findings(checked.findings, advice or {})
-    return Blocks("Recordings", shown, (findings,), file="")
+    measured = tuple(_measured(checked)) if any(checked.pairs) else ()
+    return Blocks("Recordings", shown, (*measured, findings), file="")
+
+
+# ISO 3382-2:2008, table 1: pairs, sources and receivers at least; B.2 and B.3
+_GRADES = (("precision", 12, 2, 3), ("engineering", 6, 2, 2), ("survey", 2, 1, 2))
+_MOST_BENT = 10.0  # percent of curvature C, per mille of non-linearity
+
+
+def _measured(checked: CheckedRecordings) -> Iterator[Block]:
+    """Yield means over recordings and how straight decays are; then each recording, for a page."""
+    centres_hz, states = checked.bands.centres_hz, [m.state for m in checked.measurements]
+    rows: list[Sequence[Value]] = []
+    each: list[Block] = []
+    for name, state in product(PARAMETER_NAMES, dict.fromkeys(states)):
+        how, own = parameter(name), [i for i, s in enumerate(states) if s == state]
+        values = np.ma.masked_invalid(checked.parameter(name)[own])
+        both = values.mean(axis=0), values.std(axis=0, ddof=1)
+        cells = [[number(v, how.decimals) for v in row.filled(np.nan)] for row in (*values, *both)]
+        head = f"{how.symbol}, {how.unit}{f', {state}' if state else ''}"
+        rows.append((head, *map(_with_deviation, *cells[-2:])))
+        heads = [checked.measurements[i].name for i in own] + ["mean", "standard deviation"]
+        shown = [(h, *row) for h, row in zip(heads, cells, strict=True)]
+        each += band_tables(head, "recording", centres_hz, shown)
+    bent = {"C, %": checked.curvature_percent, "ξ, ‰": checked.nonlinearity_permille}
+    for head, all_of in bent.items():
+        largest = np.ma.masked_invalid(all_of).max(axis=0).filled(np.nan)
+        rows.append((f"{head}, the largest", *(number(v, 0) for v in largest)))
+    caption = "Mean over the recordings (standard deviation); how bent the decays are by ISO 3382-2"
+    yield from band_tables(caption, "", centres_hz, rows)
+    yield Sentence(" ".join(_conditions(checked, bent)))
+    pairs = [m for m, p in zip(checked.measurements, checked.pairs, strict=True) if p is not None]
+    names = tuple(f"{m.source} to {m.receiver} ({m.name})" for m in pairs)
+    files = tuple(
+        in_file_name(f"recording_{i:02d}", *filter(None, m.pair_name))
+        for i, m in enumerate(pairs, start=1)
+    )
+    title = "Energy-time and decay curves of recordings by band"
+    words = (
+        "Grey: energy-time curve. Black: decay curve, noise subtracted. Thick: the line of T30, of "
+        "T20 where noise hides the range of T30. Dashed: arrival by the positions."
+    )
+    picture = Drawing("recordings", title, words, "recording_figure", (checked,), names, files)
+    tables = Part("Room parameters of each recording", tuple(each), folded=True)
+    yield Part("Each recording", (picture, tables), "recordings", in_text=False)
+
+
+def _with_deviation(mean: str, deviation: str) -> Cell:
+    return Cell(mean, () if deviation == DASH else (deviation,))
+
+
+def _conditions(checked: CheckedRecordings, bent: Mapping[str, FloatArray]) -> Iterator[str]:
+    """Yield how many positions there are, and where decays are bent, by ISO 3382-2."""
+    has_t20 = np.any(checked.has_t20, axis=1)
+    for state in dict.fromkeys(m.state for m in checked.measurements):
+        known = zip(checked.measurements, has_t20, strict=True)
+        names = {m.pair_name[:2] for m, has in known if has and m.state == state}
+        n = len(names), *(len({pair[i] for pair in names}) for i in range(2))
+        word = next((w for w, *least in _GRADES if np.all(np.array(n) >= least)), "")
+        enough = f"as many as ISO 3382-2 asks for the {word} method" if word else ""
+        enough = enough or "fewer than ISO 3382-2 asks for its survey method"
+        words = f"{count(n[0], 'pair')} of {count(n[1], 'source')} and {count(n[2], 'receiver')}"
+        yield f"{f'{state}: ' if state else ''}T20 of {words}: {enough}."
+    far = [np.flatnonzero((x > _MOST_BENT).any(axis=0)) for x in bent.values()]
+    if at := sorted(set(np.concatenate(far).tolist())):
+        bands = band_ranges(checked.bands.centres_hz, np.isin(np.arange(len(checked.bands)), at))
+        yield f"At {bands} decays are bent: C above 10 % or ξ above 10 ‰."
+
+
+def parameters_csv(checked: CheckedRecordings) -> str:
+    """Return the room parameters of recordings as the table that `read_parameters` takes."""
+    heads = (*(f"{f:g}" for f in checked.bands.centres_hz),)
+    rows = [
+        (m.source, m.receiver, name.split("_")[0], *row)
+        for name in PARAMETER_NAMES
+        for m, row in zip(checked.measurements, checked.parameter(name), strict=True)
+        if np.isfinite(row).any()
+    ]
+    return csv_of(Table("", ("source", "receiver", "parameter", *heads), rows, form=".4g"))
 
 
 _OCTAVES = tuple(Column(short_hertz(f), ".2f") for f in OCTAVES_HZ)

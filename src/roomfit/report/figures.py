@@ -6,7 +6,7 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,13 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import write_bytes_atomically, write_text_atomically
+from roomfit.checks.usable import CheckedRecordings
 from roomfit.report import wording
 from roomfit.report.blocks import Blocks
 from roomfit.result import ComparedPair, Result
-from roomfit.signals.decay import FIT_RANGES_DB, jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB, decay_curve_db, evaluated_line, jnd_of
+from roomfit.signals.filters import filter_pressure
+from roomfit.signals.measurement import MeasuredPair
 
 LOWEST_DB = -45.0
 _WIDTH_IN = 10.2
@@ -425,6 +428,79 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
     words = f"{wording.parameter(key).symbol} {measured} → {predicted} s" if known else ""
     high, low = FIT_RANGES_DB[key]
     return words, (-low, -high)
+
+
+# ---------------------------------------------------------------- recordings
+
+_LOWEST_OF_RECORDINGS_DB = -80.0
+
+
+def recording_figure(checked: CheckedRecordings, *chosen: int) -> Figure:
+    """Return energy-time and decay curves of recordings, one panel a band, those of one at a time.
+
+    With the line of T30, or of T20 where noise hides the range of T30, the arrival of the direct
+    sound by the geometry, and the noise.
+    """
+    pairs = [p for i, p in enumerate(checked.pairs) if p and (i in chosen or not chosen)]
+    figure, panels = decay_panels(checked.bands.centres_hz)
+    n_points = _POINTS_IN_ALL // (3 * len(pairs) * len(panels))
+    n_points = int(np.clip(n_points, 2 * _FEWEST_POINTS, 2 * _MOST_POINTS))
+    for i, pair in enumerate(pairs):
+        group = f"{CURVES}{i}" if len(pairs) > 1 else None
+        filtered = filter_pressure(pair.curve.bands, pair.response)
+        for band, axes in enumerate(panels):
+            for artist in _recording_artists(axes, pair, band, filtered[band] ** 2, n_points):
+                artist.set_gid(group)
+                axes.add_artist(artist)
+            words_of_panel(axes, _line_words(pair, band), group)
+        title = f"{literal(pair.measurement.source)} to {literal(pair.measurement.receiver)}"
+        title_of_pair(figure, f"{title} ({literal(pair.measurement.name)})", group)
+    ends = [float(p.curve.usable_end_s.max()) for p in pairs]
+    panels[0].set_xlim(0.0, 1.4 * max(ends))
+    panels[0].set_ylim(_LOWEST_OF_RECORDINGS_DB, 3.0)
+    figure.supylabel("level (dB)", fontsize=10, x=0.08 / figure.get_figwidth())
+    figure_legend(figure, title=" ")
+    return figure
+
+
+def _recording_artists(
+    axes: Axes, pair: MeasuredPair, band: int, energy: FloatArray, n_points: int
+) -> Iterator[Artist]:
+    """Yield what is drawn of a recording in a band; levels are below the highest of each curve."""
+    size = max(len(energy) // n_points, 1)
+    mean = energy[: len(energy) // size * size].reshape(-1, size).mean(axis=1)
+    time_s = (np.arange(len(mean)) + 0.5) * size / pair.response.sampling_rate_hz
+    time_s -= pair.response.time_zero_s
+    highest = mean.max() or 1.0
+    with np.errstate(divide="ignore"):
+        level_db = 10.0 * np.log10(mean / highest)
+    known = np.isfinite(level_db)
+    look: dict[str, Any] = {"color": "0.5", "lw": 0.6, "label": "energy-time curve"}
+    yield Line2D(time_s[known], level_db[known], **look)
+    curve, whole = pair.curve, axes.get_yaxis_transform()
+    kept = np.linspace(0, len(curve.time_s) - 1, n_points).round().astype(int)
+    decay_db = decay_curve_db(curve)[band][kept]
+    known = np.isfinite(decay_db)
+    yield Line2D(curve.time_s[kept][known], decay_db[known], color="black", label="decay curve")
+    if curve.noise_reached[band]:
+        noise_db = 10.0 * np.log10(pair.noise.floor[band] / highest)
+        yield Line2D([0, 1], [noise_db] * 2, transform=whole, color="0.45", ls=":", label="noise")
+    if (line := evaluated_line(curve, pair.parameters, band)) is not None:
+        look = {"color": wording.OKABE_ITO[1], "lw": 2.6, "alpha": 0.7}
+        yield Line2D(line.ends_s, line.levels_db, label="line of T30, or of T20", **look)
+    across = axes.get_xaxis_transform()
+    look = {"color": wording.OKABE_ITO[0], "lw": 0.8, "ls": "--"}
+    label = "direct sound by the geometry"
+    yield Line2D([pair.direct_s] * 2, [0, 1], transform=across, label=label, **look)
+
+
+def _line_words(pair: MeasuredPair, band: int) -> str:
+    line = evaluated_line(pair.curve, pair.parameters, band)
+    if line is None:
+        return "no T20"
+    value_s = wording.number(float(pair.parameters.of(line.name)[band]), 2)
+    bent = f"\N{GREEK SMALL LETTER XI} {wording.number(line.nonlinearity_permille, 0)} ‰"
+    return f"{wording.parameter(line.name).symbol} {value_s} s, {bent}"
 
 
 # ---------------------------------------------------------------- decay times

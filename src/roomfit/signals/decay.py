@@ -471,6 +471,31 @@ def decay_time(
     return -60.0 / slope, 60.0 / slope**2 * by_level
 
 
+class DecayLine(NamedTuple):
+    """The line through a decay curve that a decay time is read from."""
+
+    name: ParameterName
+    ends_s: FloatArray  # (2,)
+    levels_db: FloatArray  # (2,), there
+    nonlinearity_permille: float  # of the curve, 0 for a line: ISO 3382-2:2008, B.2
+
+
+def evaluated_line(curve: DecayCurve, parameters: RoomParameters, band: int) -> DecayLine | None:
+    """Return the line of T30, of T20 where that is not known, None where neither is."""
+    names: tuple[ParameterName, ...] = ("T30_s", "T20_s")
+    name = next((n for n in names if np.isfinite(parameters.of(n)[band])), None)
+    if name is None:
+        return None
+    level_db = np.maximum(decay_curve_db(curve)[band], -300.0)
+    depths_db = FIT_RANGES_DB[name]
+    begin_s, end_s = (_crossing(curve.time_s, level_db, x, curve.onset_s)[0] for x in depths_db)
+    times, ends = np.linspace(begin_s, end_s, _POINTS), np.array([begin_s, end_s])
+    levels = np.interp(times, curve.time_s, level_db)
+    slope, height_db = np.polyfit(times, levels, 1)
+    correlation = float(np.corrcoef(times, levels)[0, 1])
+    return DecayLine(name, ends, height_db + slope * ends, 1e3 * (1.0 - correlation**2))
+
+
 def _crossing(
     time_s: FloatArray, level_db: FloatArray, depth_db: float, onset_s: float
 ) -> tuple[float, FloatArray]:
