@@ -64,6 +64,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         return old, {**old, "made": 2.0}, "report.html?2"
     room = {"bands_hz": [1000.0], "shown": "<p>T30</p>", "from_times": False}
     room |= {"left_out": "", "findings": [], "directions": ""}
+    room["variants"] = {"names": [], "shown": ""}
     room["treatment"] = tasks.treatment_view(folder, [1000.0])
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"

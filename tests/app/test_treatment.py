@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
@@ -157,6 +158,24 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
     # of the mean of what was measured, 1.35 s, and shorter where more is absorbed
     assert found.mean["T30_s"].change.before[0] == pytest.approx(1.35)
     assert found.mean["T30_s"].predicted[0] < 1.0 and "<td>1.35</td>" in own["shown"]
+    # kept under names, side by side with the same numbers; what the page keeps the command takes
+    project.keep_variant(hall, "thick ceiling", changes)
+    project.keep_variant(hall, "<b>", ["walls=x2"])
+    project.keep_variant(hall, "<b>", ["walls=x3"])
+    kept = tasks.what_if_prepare(hall)["variants"]
+    assert kept["names"] == ["thick ceiling", "<b>"] and "&lt;b&gt;" in kept["shown"]
+    beside = predict_to_folder(campaign, None, out, project.variants(hall), overwrite=True)
+    assert not beside.changes and beside.variants["<b>"].changes == ("walls=x3",)
+    for name, value in found.mean.items():
+        own_value = beside.variants["thick ceiling"].mean[name]
+        np.testing.assert_allclose(own_value.predicted, value.predicted, rtol=1e-9)
+        np.testing.assert_allclose(own_value.upper95, value.upper95, rtol=1e-9)
+    assert f">{found.mean['T30_s'].predicted[0]:.2f} <small>" in kept["shown"]
+    project.keep_variant(hall, "<b>", [])
+    project.set_room(hall, shoebox=(13.0, 8.0, 4.0))
+    assert tasks.what_if_prepare(hall)["variants"]["names"] == ["thick ceiling"]
+    with pytest.raises(InputError, match="needs a name"):
+        project.keep_variant(hall, " ", changes)
     table = hall / "decay-times" / "pasted.csv"
     table.write_text(table.read_text().replace("1,3", "2,3").replace("1,4", "2,4"))
     os.utime(table, (1.0, 1.0))

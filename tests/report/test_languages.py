@@ -101,6 +101,7 @@ NAMES = (
     "walls",
     "panel",
     *("Eyring", "Sabine", "Arau-Puchades", "Fitzroy", "identify", "roomfit"),
+    "Vorhang",
 )
 
 
@@ -141,8 +142,11 @@ def made(request, tmp_path_factory):
     (folder / "treatment.toml").write_text(TREATMENT)
     with pytest.MonkeyPatch.context() as patch:
         files_ = [folder / "campaign.toml", folder / "treatment.toml"]
-        assert run_command(patch, "treat", *files_, "--png", "--out", folder / "treat") == 0
-        change = ("--set", "floor=carpet-on-underlay")
+        variant = ("--set", "Vorhang|walls=curtain", "--set", "Vorhang|floor=carpet")
+        assert (
+            run_command(patch, "treat", *files_, *variant, "--png", "--out", folder / "treat") == 0
+        )
+        change = ("--set", "floor=carpet-on-underlay", *variant)
         assert run_command(patch, "predict", files_[0], *change, "--out", folder / "predict") == 0
         assert run_command(patch, "reverberation", files_[0], "--out", folder / "times") == 0
     return folder, language

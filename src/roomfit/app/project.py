@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from roomfit.base.arguments import check_known, check_name
+from roomfit.base.door import read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Edit
 from roomfit.base.whole_files import write_text_atomically
@@ -43,6 +44,8 @@ QUICK, FULL = "first", "result"
 RESULTS = (f"{QUICK}/result.json", f"{FULL}/result.json")
 TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 """Products and targets, and the folder of the answer."""
+VARIANTS = "variants.txt"
+"""Changes that belong to a variant, a line each, as those of ``roomfit predict --set``."""
 LISTENED, CHECKED = "listened", "checked"
 RECORDINGS, DRY = "recordings", "dry"
 POSITIONS, DECAY_TIMES = "positions", "decay-times"
@@ -262,6 +265,22 @@ def bands(folder: Path) -> tuple[float, float]:
     """Return the lowest and the highest band that is fitted, by the campaign or by default."""
     own = campaign_content(folder).get("identify", {})
     return float(own.get("from_hz", 125.0)), float(own.get("to_hz", 4000.0))
+
+
+def variants(folder: Path) -> list[str]:
+    """Return the changes of all variants that are kept."""
+    file = folder / VARIANTS
+    return read_text(file, "variants", most="campaign_bytes").splitlines() if file.is_file() else []
+
+
+def keep_variant(folder: Path, name: str, changes: Sequence[str]) -> None:
+    """Keep changes under a name in place of those that it had; no changes: forget it."""
+    if not name.strip() or "|" in name:
+        needed, hint = "a name without |", "type one, as curtain open"
+        raise InputError("a variant needs a name", found=repr(name), needed=needed, hint=hint)
+    others = [x for x in variants(folder) if x.rpartition("|")[0].strip() != name.strip()]
+    lines = [*others, *(f"{' '.join(name.split())} | {change}" for change in changes)]
+    write_text_atomically(folder / VARIANTS, "".join(f"{line}\n" for line in lines))
 
 
 def decay_times(folder: Path, *, alone: bool = False) -> Path | None:

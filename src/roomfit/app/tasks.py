@@ -34,12 +34,13 @@ from roomfit.files.questions import Wanted, question_of, question_of_pairs
 from roomfit.files.remedies import changed_since
 from roomfit.files.results import read_result, read_result_content
 from roomfit.files.values import read_decay_times
-from roomfit.predict.changes import Change, read_change
+from roomfit.predict.changes import Change, by_variant, read_change
 from roomfit.predict.diffuse import PreparedField
 from roomfit.predict.predict import ChangingRoom, predict_change, prepare
 from roomfit.predict.prediction import change_directions
+from roomfit.report.blocks import Block, Blocks, Sentence
 from roomfit.report.html import fragment
-from roomfit.report.predicted import describe
+from roomfit.report.predicted import describe, variant_tables
 from roomfit.report.treated import limits_of
 from roomfit.room.scene import material_areas_m2
 from roomfit.treat import campaign as treatments
@@ -79,6 +80,7 @@ def what_if_prepare(folder: Path, doubted: bool = False) -> dict[str, Any]:
         "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
         "left_out": " ".join(left_out),
         "from_times": not has_result,
+        "variants": _variants(folder, room),
         **what_if(folder, [], doubted),
     }
 
@@ -128,6 +130,18 @@ def what_if(folder: Path, changes: list[str], doubted: bool = False) -> dict[str
         "directions": change_directions(predicted.bands, predicted.mean)[1],
         "shown": fragment(describe(predicted, limits_of(targets)), first=True),
     }
+
+
+def _variants(folder: Path, room: ChangingRoom) -> dict[str, Any]:
+    """Return the names of the variants that are kept, and the variants side by side."""
+    own = by_variant([read_change(text) for text in project.variants(folder)])
+    del own[""]
+    blocks: tuple[Block, ...]
+    try:
+        blocks = variant_tables({name: predict_change(room, one) for name, one in own.items()})
+    except InputError as error:  # of a room that is another now
+        blocks = (Sentence(str(error)),)
+    return {"names": [*own], "shown": fragment(Blocks("", blocks, ()))}
 
 
 def _targets(file: Path, room: ChangingRoom) -> Sequence[Target]:
@@ -267,6 +281,7 @@ def treat(progress: Progress, folder: Path, doubted: bool = False) -> None:
         project.best_result(folder),
         folder / project.TREATMENT_QUESTION,
         project.inside(folder, folder / project.TREATMENT),
+        project.variants(folder),
         wanted=Wanted(doubted=doubted),
         overwrite=True,
         png=True,  # for Word

@@ -114,6 +114,7 @@ class WhatIfTab(Tab):
         project.DECAY_TIMES,
         project.TREATMENT_QUESTION,
         project.TREATMENT,
+        project.VARIANTS,
         project.LISTENED,
         project.DRY,
     )
@@ -124,6 +125,7 @@ class WhatIfTab(Tab):
         # also where the result is seriously doubted; to which material the sliders belong, and what
         # it becomes; what sounds, "" the responses themselves
         self.asked: dict[str, Any] = {"doubted": False, "material": "", "entry": None, "dry": ""}
+        self.asked["variant"] = ""  # the name under which the changes are to be kept
         self.worker = bench.what_if  # the process that has the room ready
         self.room: dict[str, Any] = {}  # as it was prepared last
         self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
@@ -138,6 +140,7 @@ class WhatIfTab(Tab):
                     self.sliders = ui.element("div")
                 self.shown = markup("").classes("panel answer").style("margin: 0.75rem 0")
                 self.said = ui.element("div")
+                self.kept = ui.element("div").classes("panel answer")
                 self.sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
             self.treatment = TreatmentForm(bench, lambda: bool(self.asked["doubted"]))
         self.both.set_visibility(False)
@@ -180,6 +183,7 @@ class WhatIfTab(Tab):
         self._draw_controls()
         self.predicted = found
         self.draw()
+        self._draw_variants(found["variants"])
         if self.changes.chosen:
             await self.evaluate()
 
@@ -283,6 +287,31 @@ class WhatIfTab(Tab):
         self.changes.chosen.clear()
         self._draw_sliders()
         await self.evaluate()
+
+    # Variants that are kept.
+
+    def _draw_variants(self, view: Mapping[str, Any]) -> None:
+        if not emptied(self.kept, view):
+            return
+        with self.kept:
+            heading("Variants side by side")
+            with ui.element("div").classes("bar"):
+                label = "Name of what is set above, as curtain open"
+                field(self.asked, "variant", label, style="flex: 1 1 16rem")
+                quiet_button("Keep it", self._keep)
+                for name in view["names"]:
+                    quiet_button(f"Forget {name}", partial(self._keep, name))
+            markup(view["shown"])
+
+    def _keep(self, forgotten: str = "") -> None:
+        """Keep what is set under a name, or forget a variant; the tab is drawn anew after it."""
+        with saying_errors(self.both):
+            changes = [] if forgotten else self.changes.written()
+            if not (forgotten or changes):
+                what, needed = "nothing is changed yet", "one change or more"
+                hint = "choose a material and what it becomes"
+                raise InputError(what, found="the room as it is", needed=needed, hint=hint)
+            project.keep_variant(self.bench.folder, forgotten or self.asked["variant"], changes)
 
     # What was predicted.
 

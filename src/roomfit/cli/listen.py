@@ -47,6 +47,10 @@ def listen_to_folder(
     this is wanted.
     """
     own = [read_change(text) for text in changes]
+    if named := [c.variant for c in own if c.variant]:
+        what, found_here = "sounds are of one change of the room", f"the variant {named[0]!r}"
+        needed, hint = "changes without a name", "leave NAME | out, and make each by itself"
+        raise InputError(what, found=found_here, needed=needed, hint=hint)
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)

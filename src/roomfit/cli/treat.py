@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ from roomfit.files.encoding import ResultFile
 from roomfit.files.inputs import project_details
 from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
-from roomfit.predict.changes import Change
-from roomfit.predict.predict import ChangingRoom, prepare
+from roomfit.predict.changes import Change, by_variant, change_text, read_change
+from roomfit.predict.predict import ChangingRoom, predict_change, prepare
 from roomfit.report import designed
 from roomfit.report.blocks import in_its_language
 from roomfit.report.html import page
+from roomfit.report.predicted import variant_tables
 from roomfit.report.treated import client_blocks, describe, treatment_sentence
 from roomfit.report.wording import count
 from roomfit.room.scene import wall_materials
@@ -42,6 +44,7 @@ def treat_to_folder(
     absorption_file: ResultFile | None,
     treatment_file: Path,
     out: Path,
+    changes: Sequence[str] = (),
     *,
     wanted: Wanted | None = None,
     overwrite: bool = False,
@@ -50,14 +53,23 @@ def treat_to_folder(
 ) -> Treatment:
     """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder.
 
-    And client.html, two pages that `roomfit export` makes PDF of, and Word with pictures as `png`.
+    And client.html, two pages that `roomfit export` makes PDF of, and Word with pictures as `png`;
+    it has the variants that `changes` name beside what hangs then.
     """
+    named = [read_change(text) for text in changes]
+    if unnamed := [c for c in named if not c.variant]:
+        what, found_here = "a change that belongs to no variant", change_text(unnamed[0])
+        needed = "NAME | CHANGE: variants stand beside what is chosen to be hung"
+        hint = f"--set 'variant | {found_here}'"
+        raise InputError(what, found=found_here, needed=needed, hint=hint)
     whole_files.check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
     found = None if absorption_file is None else read_result(absorption_file)
-    question = question_of(campaign, found, covered, wanted)
+    question = question_of(campaign, found, [*covered, *named], wanted)
+    variants = by_variant(question.changes)
+    del variants[""]  # what may be covered
     if question.field is not None and not campaign.has_room:
         what, found_here = "a treatment of a room without walls", "volume and surface alone"
         needed = "a table [room], so that there are surfaces to hang something on"
@@ -71,9 +83,10 @@ def treat_to_folder(
     asked, doubts = treat_arguments(treatment_file, table, known, question.scene)
     with located(str(treatment_file)):
         if room is None:
-            hardest = hardest_changes(asked, known.bands)
+            hardest = (*hardest_changes(asked, known.bands), *variants.values())
             room = prepare(question, hardest, progress=part(progress, 0.0, 0.8))
         answer = treat(room, **asked, progress=part(progress, 0.8, 0.9))
+        beside = {name: predict_change(room, own) for name, own in variants.items()}
     to_measure: tuple[str, ...] = ()
     if found is not None and question.field is None:
         to_measure = _what_to_measure(campaign, found, answer, part(progress, 0.9, 1.0))
@@ -86,8 +99,8 @@ def treat_to_folder(
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
         whole_files.write_text_atomically(folder / "treatment.html", page(shown))
         write_pictures(folder, shown, png_too=png)
-        own = client_blocks(answer, project, _measured(campaign))
-        whole_files.write_text_atomically(folder / "client.html", page(own))
+        client = client_blocks(answer, project, _measured(campaign), variant_tables(beside)[:-1])
+        whole_files.write_text_atomically(folder / "client.html", page(client))
     return answer
 
 

@@ -31,7 +31,7 @@ from roomfit.files.inputs import (
 from roomfit.files.results import posterior_content
 from roomfit.files.values import read_decay_times
 from roomfit.materials.priors import unknown_material
-from roomfit.predict.changes import Change
+from roomfit.predict.changes import Change, by_variant
 from roomfit.predict.diffuse_field import (
     FORMULAS,
     DiffuseAbsorption,
@@ -118,12 +118,17 @@ def question_of_pairs(
         doubts = (*doubts, *refused)
     areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
     found, dominated = for_another_room(found, areas, settings.n_draws, settings.seed)
-    # of what is changed in part the rest must be known
-    replaced = [c.material for c in changes if c.kind != "factor" and c.share >= 1.0]
+    # of what is changed in part, or in some variants alone, the rest must be known
+    replaced = set[str].intersection(
+        *(
+            {c.material for c in own if c.kind != "factor" and c.share >= 1.0}
+            for own in by_variant(changes).values()
+        )
+    )
     with located(str(campaign.path)):
         priors = room_priors(campaign, room, bands)
         directivities = source_directivities(campaign, bands)
-        known = room_posterior(found, priors, bands, directivities, replaced=replaced)
+        known = room_posterior(found, priors, bands, directivities, replaced=sorted(replaced))
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
         if not points:
             what, where = f"the campaign defines no {kind}", str(campaign.path)

@@ -44,6 +44,7 @@ class Change:
     sds: tuple[float, ...] = ()  # their standard deviations; left out: none
     entry: str = ""  # name of a material or in the catalogue
     share: float = 1.0  # of the area of the material, 0 to 1
+    variant: str = ""  # of the room to which it belongs; those of one stand beside the others
 
     def __post_init__(self) -> None:
         if not self.sds:
@@ -58,8 +59,12 @@ def _not_written(text: str) -> InputError:
 
 
 def read_change(text: str) -> Change:
-    """Return a change as it is written on the command line."""
-    material, sign, specified = (part.strip() for part in text.partition("="))
+    """Return a change as it is written on the command line: ``floor=0.3``.
+
+    Or of a variant with a name: ``thick carpet | floor=0.3``.
+    """
+    variant, _, change = (part.strip() for part in text.rpartition("|"))
+    material, sign, specified = (part.strip() for part in change.partition("="))
     if not (material and sign and specified):
         raise _not_written(text)
     share, part_of = 1.0, _PART.match(specified)
@@ -76,14 +81,20 @@ def read_change(text: str) -> Change:
     if not matches and _LIKE_NUMBERS.fullmatch(specified):
         raise _not_written(text)
     if not matches:
-        return Change(material, "catalogue", entry=specified, share=share)
+        return Change(material, "catalogue", entry=specified, share=share, variant=variant)
     factors = {m[1] for m in matches}
     if len(matches) != len(found) or len(factors) != 1:
         raise _not_written(text)
     values = tuple(float(m[2]) for m in matches)
     sds = tuple(float(m[3] or 0.0) for m in matches)
     kind: Literal["factor", "value"] = "factor" if factors == {"x"} else "value"
-    return Change(material, kind, values, sds, share=share)
+    return Change(material, kind, values, sds, share=share, variant=variant)
+
+
+def by_variant(changes: Sequence[Change]) -> dict[str, list[Change]]:
+    """Return changes by the variant to which they belong, first, as "", those of none."""
+    names = dict.fromkeys(["", *(c.variant for c in changes)])
+    return {name: [c for c in changes if c.variant == name] for name in names}
 
 
 def change_text(change: Change) -> str:

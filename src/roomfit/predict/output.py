@@ -68,8 +68,11 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
             }
             for p in predicted.pairs
         ],
-        "mean": parameters_content(predicted.mean),
-        "sti": one_number(predicted.sti),
+        **_means(predicted),
+        "variants": {
+            name: {"changes": list(one.changes), **_means(one)}
+            for name, one in predicted.variants.items()
+        },
         "sti_missing": sti_missing(predicted.bands) or None,
         "findings": [finding_content(f) for f in predicted.findings],
         "prediction": {
@@ -79,6 +82,10 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
         },
         "provenance": provenance(inputs),
     }
+
+
+def _means(predicted: Predicted) -> dict[str, Any]:
+    return {"mean": parameters_content(predicted.mean), "sti": one_number(predicted.sti)}
 
 
 def _named(

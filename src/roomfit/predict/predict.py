@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import Progress
-from roomfit.predict.changes import Change
+from roomfit.predict.changes import Change, by_variant
 from roomfit.predict.diffuse import PreparedField, predict_field, prepare_field
 from roomfit.predict.other_walls import PreparedRoom, predict_paths, prepare_paths
 from roomfit.predict.prediction import Predicted
@@ -32,6 +32,8 @@ def predict(question: Question, *, progress: Progress | None = None) -> Predicte
     both states cancels. Where the interval of a change includes none, its direction is not
     determined. In another room than the fitted one predictions are the model's, as wrong as it was
     of the fitted pairs.
+
+    Variants, which some changes name, stand beside each other (`Predicted.variants`).
 
     Of a diffuse field T30 alone is predicted, by its formula; what was measured is kept, and
     carried over by the change.
@@ -67,10 +69,11 @@ def predict(question: Question, *, progress: Progress | None = None) -> Predicte
 
     ``roomfit.predict(roomfit.question_of(campaign, result))`` is what the command line does.
     """
-    began, changes = time.perf_counter(), question.changes
-    room = prepare(question, (changes,), progress=progress)
-    found = predict_change(room, changes)
-    return replace(found, seconds=time.perf_counter() - began)
+    began, groups = time.perf_counter(), by_variant(question.changes)
+    room = prepare(question, tuple(groups.values()), progress=progress)
+    found, *others = (predict_change(room, changes) for changes in groups.values())
+    variants = dict(zip([*groups][1:], others, strict=True))
+    return replace(found, variants=variants, seconds=time.perf_counter() - began)
 
 
 @one_blas_thread

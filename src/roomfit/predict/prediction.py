@@ -122,6 +122,8 @@ class Predicted(Shown):
     sti: PredictedValue | None = None  # as `mean`, of shape (1,), where the bands give it
     # by object, (3, n_bands): equivalent absorption area in m2 and its bounds, changes included
     objects_m2: Mapping[str, FloatArray] = field(default_factory=dict)
+    # of the same room, by their names, each with its own changes alone
+    variants: Mapping[str, Predicted] = field(default_factory=dict)
 
     @property
     def compares_states(self) -> bool:

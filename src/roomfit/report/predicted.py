@@ -9,7 +9,7 @@ import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import Code
-from roomfit.base.table import Cell, Column, Table
+from roomfit.base.table import Cell, Column, Table, Value
 from roomfit.base.typing import FloatArray
 from roomfit.files.encoding import finding_of
 from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
@@ -189,7 +189,10 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
     head += [Terms(numbers, are_numbers=True)] if (numbers := tuple(_numbers(predicted))) else []
-    head += [] if answer is None else [answer.drawing(limits), *answer.tables(limits)]
+    head += [] if answer is None else [answer.drawing(limits)]
+    if answer is not None and (is_changed or not predicted.variants):
+        head += answer.tables(limits)
+    head += variant_tables(predicted.variants)
     head += [Listed(serious_lines(predicted.findings)), Sentence(_NEXT)]
 
     def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
@@ -218,6 +221,56 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
         blocks.append(Part("Pair by pair", tables, "", words, folded=True, in_text=few))
     title = "Before and after" if predicted.compares_states else "Predicted"
     return Blocks(title, tuple(head), tuple(blocks), "predicted.json")
+
+
+_OF_VARIANTS = ("EDT_s", "C50_dB", "C80_dB", "STI")
+
+
+def variant_tables(variants: Mapping[str, Predicted]) -> tuple[Table, ...]:
+    """Return variants of a room side by side: decay time by band, more at mid frequencies.
+
+    The first row is the room before any change.
+    """
+    rows: list[list[Value]] = []
+    further: list[list[Value]] = []
+    symbol, centres_hz, keys = "", np.zeros(0), [""]
+    for name, one in variants.items():
+        values, centres_hz = named_values(one.mean, one.sti), one.bands.centres_hz
+        answer = decay_answer(one.bands, values, is_changed=True, after=name)
+        if answer is None:
+            continue
+        symbol, series = answer.symbol, answer.series
+        keys = [key for key in _OF_VARIANTS if key in values]
+        for own in series[-1:] if rows else series:
+            rows.append([own.label, *_with_bounds(2, *own.bounded())])
+        if not further:
+            further.append([series[0].label, *_mid_cells(centres_hz, values, keys, before=True)])
+        further.append([name, *_mid_cells(centres_hz, values, keys)])
+    if not rows:
+        return ()
+    tables = wording.band_tables(f"Variants: {symbol} in s, 95 % interval", "", centres_hz, rows)
+    heads = ("", *(label for key, label, _ in SHOWN if key in keys))
+    caption = f"Variants: means at {wording.mid_words(centres_hz)}, 95 % interval"
+    return *tables, Table(caption, heads, further)
+
+
+def _mid_cells(
+    centres_hz: FloatArray,
+    values: Mapping[str, PredictedValue],
+    keys: Sequence[str],
+    *,
+    before: bool = False,
+) -> Iterator[Cell]:
+    """Yield what parameters of a variant are at mid frequencies, or were before it."""
+    for key, _, decimals in (one for one in SHOWN if one[0] in keys):
+        v = values[key]
+        series = wording.Series("", v.predicted, v.lower95, v.upper95)
+        if before and (c := v.change) is not None:
+            is_known = np.isfinite(v.measured)
+            series = wording.Series("", np.where(is_known, v.measured, c.before))
+        at_hz = centres_hz if key != "STI" else np.array([1000.0])
+        three = (np.atleast_1d(x) for x in series.mid_s(at_hz))
+        yield _with_bounds(decimals, *three)[0]
 
 
 def pair_drawings(predicted: Predicted) -> tuple[Drawing, ...]:
@@ -329,7 +382,8 @@ def _with_bounds(decimals: int, *rows: FloatArray, signed: bool = False) -> list
     cells = []
     for each in zip(*rows, strict=True):
         value, low, high = (wording.number(x, decimals, signed=signed) for x in each)
-        cells.append(Cell(value, () if value == wording.DASH else (f"{low} to {high}",)))
+        is_alone = wording.DASH in (value, low, high)
+        cells.append(Cell(value, () if is_alone else (f"{low} to {high}",)))
     return cells
 
 

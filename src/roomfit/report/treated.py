@@ -115,11 +115,16 @@ def _next_step(a: Arrangement) -> str:
     )
 
 
-def client_blocks(treatment: Treatment, project: Mapping[str, str], measured: str) -> Blocks:
+def client_blocks(
+    treatment: Treatment,
+    project: Mapping[str, str],
+    measured: str,
+    variants: tuple[Block, ...] = (),
+) -> Blocks:
     """Return what a client needs to know of a treatment, on two sheets of A4.
 
     `project` is that of `roomfit.report.answer.report_html`, `measured` what was measured, in
-    words.
+    words, `variants` what stands beside.
     """
     first, answer, room = treatment.arrangements[0], _answer(treatment), treatment.room.scene.room
     sizes = " \N{MULTIPLICATION SIGN} ".join(
@@ -150,7 +155,7 @@ def client_blocks(treatment: Treatment, project: Mapping[str, str], measured: st
     ]
     blocks = (
         Part("What hangs where", (_hung_table(first),)),
-        Part("Reverberation before and after", times),
+        Part("Reverberation before and after", (*times, *variants)),
         Part("How sure", (Sentence(sure), _odds_table(treatment, first), serious)),
         Part("What was measured", (Terms(tuple(done)),)),
     )

@@ -243,10 +243,16 @@ class Series(NamedTuple):
     lower95_s: FloatArray | None = None  # None: without an interval
     upper95_s: FloatArray | None = None
 
+    def bounded(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return values and bounds, NaN where there are none."""
+        unknown = np.full_like(self.values_s, np.nan)
+        low, high = (unknown if x is None else x for x in (self.lower95_s, self.upper95_s))
+        return self.values_s, low, high
+
     def mid_s(self, centres_hz: FloatArray) -> tuple[float, float, float]:
         """Return the mean at mid frequencies, and its bounds, NaN where a band of it has none."""
-        own, bounds = _mid_bands(centres_hz, self.values_s), (self.lower95_s, self.upper95_s)
-        low, high = (np.nan if b is None or not own.any() else float(b[own].mean()) for b in bounds)
+        own, bounds = _mid_bands(centres_hz, self.values_s), self.bounded()[1:]
+        low, high = (float(b[own].mean()) if own.any() else np.nan for b in bounds)
         return mid_mean(centres_hz, self.values_s), low, high
 
 
