@@ -83,6 +83,15 @@ export default {
       }
       g.stroke();
       g.font = "12px sans-serif";
+      const label = (text, x, y) => {
+        const wide = g.measureText(text).width;
+        g.fillStyle = dark ? "rgba(30,30,30,0.75)" : "rgba(255,255,255,0.75)";
+        g.fillRect(x - wide / 2 - 3, y - 8, wide + 6, 15);
+        g.fillStyle = dark ? "#e0e0e0" : "#333333";
+        g.fillText(text, x - wide / 2, y + 4);
+      };
+      this.nameSurfaces(label);
+      this.measure(g, label, flat, low, high, [right, up, towards]);
       const point = (p, colour, square) => {
         const [x, y] = flat(p.position_m);
         const [fx, fy] = flat([p.position_m[0], p.position_m[1], low[2]]);
@@ -120,6 +129,50 @@ export default {
         g.lineTo(x, y + 18);
         g.stroke();
       }
+    },
+    // names of surfaces where their largest triangle has the space for it
+    nameSurfaces(label) {
+      const best = new Map();
+      for (const { corners: [a, b, c], s } of this.drawn) {
+        const area = Math.abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2;
+        const own = best.get(s) || { area: 0, x: 0, y: 0 };
+        own.x += (area * (a[0] + b[0] + c[0])) / 3;
+        own.y += (area * (a[1] + b[1] + c[1])) / 3;
+        own.area += area;
+        best.set(s, own);
+      }
+      const large = [...best].filter(([, own]) => own.area > 3000).sort((a, b) => b[1].area - a[1].area);
+      for (const [s, own] of large.slice(0, 12)) label(this.room.surfaces[s].name, own.x / own.area, own.y / own.area);
+    },
+    // lengths along the edges of the box round the room that face the viewer, and where x, y and z lead
+    measure(g, label, flat, low, high, [right, up, towards]) {
+      const near = [0, 1, 2].map((k) => (towards[k] > 0 ? high[k] : low[k]));
+      const base = towards[2] >= 0 ? low[2] : high[2];
+      const upright = [[0, 0], [0, 1], [1, 0], [1, 1]]
+        .map(([i, j]) => [[low, high][i][0], [low, high][j][1]])
+        .sort((a, b) => flat([...a, base])[0] - flat([...b, base])[0])[0];
+      const edges = [
+        [[low[0], near[1], base], [high[0], near[1], base], 0, 14],
+        [[near[0], low[1], base], [near[0], high[1], base], 0, 14],
+        [[...upright, low[2]], [...upright, high[2]], -30, 0],
+      ];
+      edges.forEach(([from, to, dx, dy], k) => {
+        const [[ax, ay], [bx, by]] = [flat(from), flat(to)];
+        if (Math.hypot(bx - ax, by - ay) < 30) return;
+        const x = Math.max(36, (ax + bx) / 2 + dx);
+        label(`${"xyz"[k]} ${(high[k] - low[k]).toFixed(2)} m`, x, (ay + by) / 2 + dy);
+      });
+      const [x, y] = [34, 40];
+      g.lineWidth = 1.5;
+      g.strokeStyle = g.fillStyle;
+      "xyz".split("").forEach((name, k) => {
+        const [ex, ey] = [x + 22 * right[k], y - 22 * up[k]];
+        g.beginPath();
+        g.moveTo(x, y);
+        g.lineTo(ex, ey);
+        g.stroke();
+        g.fillText(name, x + 30 * right[k] - 3, y - 30 * up[k] + 4);
+      });
     },
     down(e) {
       this.last = [e.clientX, e.clientY];

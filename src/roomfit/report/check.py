@@ -90,7 +90,7 @@ def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks
         "Direct sound in ms after emission, and by the geometry; peak over noise and decay range",
         "in dB, < = too little for T20, - = not to be used",
     )
-    shown = (Table("Recordings", heads, rows, notes),) if rows else ()
+    shown = (Table("Noise and range of the decays", heads, rows, notes),) if rows else ()
     findings = Findings(checked.findings, advice or {})
     measured = tuple(_measured(checked)) if any(checked.pairs) else ()
     return Blocks("Recordings", shown, (*measured, findings), file="")

@@ -185,7 +185,9 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     )
     means = named_values(predicted.mean, None)
     answer = decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
-    lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
+    # nobody reads a value a band in a sentence
+    said = [c if c.count(",") < 2 else f"{c.split('=')[0]} by bands" for c in predicted.changes]
+    lead = [f"With {'; '.join(said)}:"] if said else []
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
     head += [Terms(numbers, are_numbers=True)] if (numbers := tuple(_numbers(predicted))) else []
