@@ -59,7 +59,10 @@ def predict_to_folder(
     check_disk_room(out, len(question.scene.pairs) // 3)
     with located(str(campaign_file)):
         predicted = predict(question, progress=part(progress, 0.0, 0.95))
-    own_names, language = names_of(question.scene, *changes), campaign.project.language
+    own_names, language = (
+        names_of(question.scene, *changes, *predicted.variants),
+        campaign.project.language,
+    )
     answer = replace(describe(predicted), language=language, names=own_names)
     shown = in_its_language(answer)
     beside = pair_drawings(predicted)

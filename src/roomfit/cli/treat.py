@@ -25,7 +25,6 @@ from roomfit.predict.predict import ChangingRoom, predict_change, prepare
 from roomfit.report import designed
 from roomfit.report.blocks import in_its_language
 from roomfit.report.html import page
-from roomfit.report.predicted import variant_tables
 from roomfit.report.treated import client_blocks, describe, treatment_sentence
 from roomfit.report.wording import count
 from roomfit.room.scene import wall_materials
@@ -99,7 +98,7 @@ def treat_to_folder(
         write_treatment(folder, answer, treatment_sentence(answer), files_read())
         whole_files.write_text_atomically(folder / "treatment.html", page(shown))
         write_pictures(folder, shown, png_too=png)
-        client = client_blocks(answer, project, _measured(campaign), variant_tables(beside)[:-1])
+        client = client_blocks(answer, project, _measured(campaign), beside)
         whole_files.write_text_atomically(folder / "client.html", page(client))
     return answer
 

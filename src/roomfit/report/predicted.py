@@ -186,8 +186,8 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
     means = named_values(predicted.mean, None)
     answer = decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
     # nobody reads a value a band in a sentence
-    said = [c if c.count(",") < 2 else f"{c.split('=')[0]} by bands" for c in predicted.changes]
-    lead = [f"With {'; '.join(said)}:"] if said else []
+    named = [c if c.count(",") < 2 else f"{c.split('=')[0]} by bands" for c in predicted.changes]
+    lead = [f"With {'; '.join(named)}:"] if named else []
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
     head += [Terms(numbers, are_numbers=True)] if (numbers := tuple(_numbers(predicted))) else []
@@ -201,8 +201,8 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
         rows = parameter_rows(named_values(values, None), is_changed=is_changed, open_for=open_for)
         return wording.band_tables(title, "parameter", centres_hz, rows)
 
-    named = [(f"{p.source} to {p.receiver}, {_USES[p.use]}", p) for p in predicted.pairs]
-    sti = [("mean over the pairs", predicted.sti), *((title, p.sti) for title, p in named)]
+    titled = [(f"{p.source} to {p.receiver}, {_USES[p.use]}", p) for p in predicted.pairs]
+    sti = [("mean over the pairs", predicted.sti), *((title, p.sti) for title, p in titled)]
     rows = [
         row
         for title, value in sti
@@ -216,10 +216,10 @@ def describe(predicted: Predicted, limits: Sequence[_Limit] = ()) -> Blocks:
         Findings(predicted.findings),
         Part("Means", (*shown(_MEAN, predicted.mean), speech), folded=True),
     ]
-    if named:
-        tables = tuple(table for title, p in named for table in shown(title, p.parameters))
-        words = f"{len(named)} of source and receiver; the first in full, all in predicted.csv"
-        few = len(named) <= _MOST_IN_TEXT
+    if titled:
+        tables = tuple(table for title, p in titled for table in shown(title, p.parameters))
+        words = f"{len(titled)} of source and receiver; the first in full, all in predicted.csv"
+        few = len(titled) <= _MOST_IN_TEXT
         blocks.append(Part("Pair by pair", tables, "", words, folded=True, in_text=few))
     title = "Before and after" if predicted.compares_states else "Predicted"
     return Blocks(title, tuple(head), tuple(blocks), "predicted.json")
@@ -251,8 +251,8 @@ def variant_tables(variants: Mapping[str, Predicted]) -> tuple[Table, ...]:
     if not rows:
         return ()
     tables = wording.band_tables(f"Variants: {symbol} in s, 95 % interval", "", centres_hz, rows)
-    heads = ("", *(label for key, label, _ in SHOWN if key in keys))
-    caption = f"Variants: means at {wording.mid_words(centres_hz)}, 95 % interval"
+    heads = ("", *(wording.PARAMETERS[key].label for key in keys))
+    caption = f"Variants: means at {wording.mid_words(centres_hz, centres_hz)}, 95 % interval"
     return *tables, Table(caption, heads, further)
 
 
@@ -264,8 +264,8 @@ def _mid_cells(
     before: bool = False,
 ) -> Iterator[Cell]:
     """Yield what parameters of a variant are at mid frequencies, or were before it."""
-    for key, _, decimals in (one for one in SHOWN if one[0] in keys):
-        v = values[key]
+    for key in keys:
+        v, decimals = values[key], wording.PARAMETERS[key].decimals
         series = wording.Series("", v.predicted, v.lower95, v.upper95)
         if before and (c := v.change) is not None:
             is_known = np.isfinite(v.measured)

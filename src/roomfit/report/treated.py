@@ -22,12 +22,13 @@ from roomfit.report.blocks import (
     names_of,
 )
 from roomfit.report.doubts import serious_lines
-from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_rows
+from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_rows, variant_tables
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.treat.arrangements import apart
 from roomfit.treat.question import USUAL_HZ
 
 if TYPE_CHECKING:
+    from roomfit.predict.prediction import Predicted
     from roomfit.treat.arrangements import Arrangement, Treatment
     from roomfit.treat.question import Target
 
@@ -119,13 +120,14 @@ def client_blocks(
     treatment: Treatment,
     project: Mapping[str, str],
     measured: str,
-    variants: tuple[Block, ...] = (),
+    variants: Mapping[str, Predicted] | None = None,
 ) -> Blocks:
     """Return what a client needs to know of a treatment, on two sheets of A4.
 
     `project` is that of `roomfit.report.answer.report_html`, `measured` what was measured, in
-    words, `variants` what stands beside.
+    words, `variants` stand beside by their names.
     """
+    beside = variants or {}
     first, answer, room = treatment.arrangements[0], _answer(treatment), treatment.room.scene.room
     sizes = " \N{MULTIPLICATION SIGN} ".join(
         f"{x:.2f} m" for x in np.ptp(room.mesh.vertices_m, axis=0)
@@ -155,7 +157,7 @@ def client_blocks(
     ]
     blocks = (
         Part("What hangs where", (_hung_table(first),)),
-        Part("Reverberation before and after", (*times, *variants)),
+        Part("Reverberation before and after", (*times, *variant_tables(beside)[:-1])),
         Part("How sure", (Sentence(sure), _odds_table(treatment, first), serious)),
         Part("What was measured", (Terms(tuple(done)),)),
     )
@@ -166,7 +168,7 @@ def client_blocks(
         project=tuple((k, project[k]) for k in ("client", "author") if k in project),
         logo=project.get("logo", ""),
         language=project.get("language", "en"),
-        names=_names(treatment, *project.values()),
+        names=_names(treatment, *project.values(), *beside),
     )
 
 
