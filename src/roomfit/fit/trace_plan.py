@@ -180,11 +180,8 @@ def _with_rays(
     share = _BESIDE_IMAGES if beside_images else 1.0
     needed = needed_m2 / radius_m**2 * share
     fineness = replace(fineness, n_rays=max(round(LEAST_RAYS * share), math.ceil(needed)))
-    n_bytes = expected_paths(scene, fineness) * path_bytes(scene)
-    if n_bytes <= _MOST_PATH_BYTES:
-        return fineness, ()
-    affordable = max(int(fineness.n_rays * _MOST_PATH_BYTES / n_bytes), 1)
-    fineness = replace(fineness, n_rays=affordable)
+    fineness = with_affordable_rays(scene, fineness, _MOST_PATH_BYTES)
+    affordable = fineness.n_rays
     if affordable >= needed:
         return fineness, ()
     larger, words = math.sqrt(needed / affordable), "half" if of_the_data > 0.4 else "a third"
@@ -195,6 +192,14 @@ def _with_rays(
     )
     numbers = {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger}
     return fineness, (Finding(Code.FEW_RAYS, About(), text, numbers),)
+
+
+def with_affordable_rays(scene: Scene, fineness: TraceSettings, most_bytes: float) -> TraceSettings:
+    """Return the settings with no more rays than those whose paths fit into so many bytes."""
+    n_bytes = expected_paths(scene, fineness) * path_bytes(scene)
+    if n_bytes <= most_bytes:
+        return fineness
+    return replace(fineness, n_rays=max(int(fineness.n_rays * most_bytes / n_bytes), 1))
 
 
 def scattering_assumed(names: Sequence[str], value: float, reason: str = "") -> Finding:

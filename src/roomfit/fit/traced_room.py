@@ -51,9 +51,11 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 _NEEDED_DB = 36.0
 _ATTEMPTS = 4
 # Enough to see how far the decay falls; the rays that follow are six times as many, or more.
-_PILOT_RAYS = 10_000
+_PILOT_RAYS, _PILOT_PAIRS = 10_000, 8
 _LONGER = 1.5
 _LONGEST_S = 30.0
+# Of many pairs, as on a map, each has fewer rays, whose error is in its interval.
+_MOST_PATH_BYTES = 1.5e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,24 +274,26 @@ def trace_room(
             far_s = trace_plan.images_until_s(scene, trace_plan.traced_s(*own[2:]), settings)
             plan = trace_plan.plan_trace(*own, beside_images, images_until_s=far_s)
             if trace_plan.has_every_order(plan.settings):
-                return plan
+                few = trace_plan.with_affordable_rays(scene, plan.settings, _MOST_PATH_BYTES)
+                return plan if settings.n_rays else replace(plan, settings=few)
         return trace_plan.plan_trace(*own, settings)
 
-    def traced(n_rays: int, progress: Progress | None) -> TracedRoom:
+    def traced(of: Scene, n_rays: int, progress: Progress | None) -> TracedRoom:
         plan = planned()
         fineness = replace(plan.settings, n_rays=min(plan.settings.n_rays, n_rays))
         own = replace(plan, settings=fineness)
-        found = traced_by(own, scene, bands, priors, directivities, progress)
+        found = traced_by(own, of, bands, priors, directivities, progress)
         every_order = fineness.image_until_s is not None or not fineness.n_rays
-        return TracedRoom(scene, bands, found.binned, found.findings, added & every_order)
+        return TracedRoom(of, bands, found.binned, found.findings, added & every_order)
 
+    some = select_pairs(scene, slice(None, None, -(-len(scene.pairs) // _PILOT_PAIRS)))
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
-        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None), each):
+        if longest_s >= _LONGEST_S or not _short_bands(traced(some, _PILOT_RAYS, None), each):
             break
         longest_s *= _LONGER
     for _ in range(2 if n_pilots else _ATTEMPTS):
-        room = traced(sys.maxsize, progress)
+        room = traced(scene, sys.maxsize, progress)
         short = _short_bands(room, each)
         if not short or longest_s >= _LONGEST_S:
             break

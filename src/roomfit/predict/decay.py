@@ -16,7 +16,7 @@ from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.signals.speech import modulation_transfer, room_sti, room_sti_weights, sti_missing
 
-_PICTURE_POINTS = 160
+_PICTURE_POINTS, _PICTURE_DRAWS = 160, 40
 # Times are compared by their ratio, all else by the difference.
 RELATIVE = np.array([name in FIT_RANGES_DB for name in VALUE_NAMES])
 
@@ -57,7 +57,8 @@ def _band_numbers(
     curve, values = room.decay(pair, absorptions[0])
     times_s = _picture_times_s(room)
     energies = rows.energies(absorptions)
-    shapes_db = np.array([rows.decay(e).levels_db(times_s)[0] for e in energies])
+    shown = energies[: 1 + _PICTURE_DRAWS]
+    shapes_db = np.array([rows.decay(e).levels_db(times_s)[0] for e in shown])
     middle_db = curve.levels_db(times_s)[0]
     ends_db = np.quantile(shapes_db[1:] - shapes_db[0], (0.025, 0.975), axis=0)
     nothing = np.empty((len(absorptions), 0))
