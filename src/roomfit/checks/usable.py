@@ -38,6 +38,7 @@ class CheckedRecordings(Shown):
     """
 
     described_in: ClassVar[str] = "check"
+    drawn: ClassVar[str] = "recordings"
     measurements: tuple[Measurement, ...]
     pairs: tuple[MeasuredPair | None, ...]  # what is known of each; None: a fit refuses it
     bands: Bands

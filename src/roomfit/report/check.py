@@ -26,8 +26,6 @@ from roomfit.report.wording import (
 from roomfit.signals.decay import PARAMETER_NAMES
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.checks.usable import CheckedRecordings
     from roomfit.files.remedies import Advice
     from roomfit.room.scene import RoomCheck
@@ -55,25 +53,19 @@ def room_blocks(title: str, check: RoomCheck, advice: Advice | None = None) -> B
     return Blocks(title, (Sentence(title), Terms(terms), materials, Sentence(last)), (findings,))
 
 
-def draw(checked: CheckedRecordings, *chosen: int) -> Figure:
-    """Return energy-time and decay curves of the chosen recordings over each other, or of all."""
-    from roomfit.report.figures import recording_figure  # which imports matplotlib
-
-    return recording_figure(checked, *chosen)
-
-
 def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks:
     """Return recordings by band before a fit, what is wrong with them, and what is advised."""
     rows: list[Sequence[Value]] = []
+    of_bands = checked.decay_range_db, checked.usable, checked.has_t20
+    arrivals_s = np.stack([checked.onset_s, checked.travel_s], axis=1)
+    loudest_db = checked.peak_to_noise_db.max(axis=1, initial=-np.inf)
     for i, m in enumerate(checked.measurements):
         ranges = [
             Cell(f"{range_db:.0f}{' ' if has_t20 else '<'}" if usable else "- ")
-            for range_db, usable, has_t20 in zip(
-                checked.decay_range_db[i], checked.usable[i], checked.has_t20[i], strict=True
-            )
+            for range_db, usable, has_t20 in zip(*(x[i] for x in of_bands), strict=True)
         ]
-        times = (f"{1e3 * float(x[i]):.2f}" for x in (checked.onset_s, checked.travel_s))
-        noise_db = float(np.max(checked.peak_to_noise_db[i], initial=-np.inf))
+        times = (f"{1e3 * x:.2f}" for x in arrivals_s[i])
+        noise_db = float(loudest_db[i])
         numbers = [text.replace("nan", "-") for text in times]
         numbers.append(f"{noise_db:.0f}" if np.isfinite(noise_db) else "-")
         rows.append((f"{m.source} to {m.receiver} ({m.name})", *numbers, *ranges))

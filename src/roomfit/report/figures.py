@@ -435,13 +435,13 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
 _LOWEST_OF_RECORDINGS_DB = -80.0
 
 
-def recording_figure(checked: CheckedRecordings, *chosen: int) -> Figure:
+def recording_figure(checked: CheckedRecordings) -> Figure:
     """Return energy-time and decay curves of recordings, one panel a band, those of one at a time.
 
     With the line of T30, or of T20 where noise hides the range of T30, the arrival of the direct
     sound by the geometry, and the noise.
     """
-    pairs = [p for i, p in enumerate(checked.pairs) if p and (i in chosen or not chosen)]
+    pairs = [p for p in checked.pairs if p is not None]
     figure, panels = decay_panels(checked.bands.centres_hz)
     n_points = _POINTS_IN_ALL // (3 * len(pairs) * len(panels))
     n_points = int(np.clip(n_points, 2 * _FEWEST_POINTS, 2 * _MOST_POINTS))
