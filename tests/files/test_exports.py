@@ -233,7 +233,7 @@ def test_a_workbook_has_a_sheet_a_table_and_no_formula(tmp_path):
     export_result(with_parameters(tmp_path), "excel", out)
     book = openpyxl.load_workbook(out)
     assert book.sheetnames == [
-        *("absorption", "absorption by band", "room parameters", "fit", "findings")
+        *("absorption", "absorption by band", "ratings", "room parameters", "fit", "findings")
     ]
     cells = [cell for sheet in book for row in sheet for cell in row]
     assert not [c for c in cells if c.data_type == "f"]

@@ -38,7 +38,7 @@ BACK = {
     for language, table in TABLES.items()
 }
 UNITS = re.compile(
-    r"\b(\d+k|Hz|kHz|k|s|ms|m|dB|m²|m³|kPa|C|JND|T20|T30|EDT|C50|C80|D50|TS|G|STI|x|y|z)\b"
+    r"\b(\d+k|Hz|kHz|k|s|ms|m|dB|m²|m³|kPa|C|JND|T20|T30|EDT|C50|C80|D50|TS|G|STI|x|y|z|L?M?H?)\b"
     r"|φ|\N{GREEK SMALL LETTER ALPHA}"
 )
 CAMPAIGN = """

@@ -25,6 +25,11 @@ from roomfit.base.table import Table, csv_of, workbook_of
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.files.encoding import ResultFile, one_line, path_of
 from roomfit.files.results import MaterialTable, read_materials
+from roomfit.materials.ratings import (
+    noise_reduction_coefficient,
+    rated_bands,
+    weighted_absorption,
+)
 from roomfit.result import absorption_records
 
 ExportFormat = Literal["catt", "odeon", "isimpa", "pyroomacoustics", "csv"]
@@ -171,8 +176,9 @@ def workbook_bytes(file: ResultFile) -> bytes:
     """Return the tables of a ``result.json`` or an ``absorption.csv`` as an Excel workbook.
 
     The sheet ``absorption`` has a row for each material and band, ``absorption by band`` one for
-    each material. Of a ``result.json`` also ``room parameters`` (measured, predicted, the mean of
-    the others, and Barron's theory with their decay time), ``fit`` (a row a band) and ``findings``.
+    each material, ``ratings`` its numbers of ISO 11654 and ASTM C423. Of a ``result.json`` also
+    ``room parameters`` (measured, predicted, the mean of the others, and Barron's theory with their
+    decay time), ``fit`` (a row a band) and ``findings``.
     """
     table, content = read_materials(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])
@@ -181,6 +187,13 @@ def workbook_bytes(file: ResultFile) -> bytes:
         "absorption": absorption_records(table.names, table.bands, values, table.identifiable),
         "absorption by band": Table("", ("material", *_heads(table.bands)), by_band),
     }
+    if at := rated_bands(table.bands):
+        rated = [
+            (name, *weighted_absorption(a[at]), noise_reduction_coefficient(a[at]))
+            for name, a in zip(table.names, table.absorption, strict=True)
+        ]
+        heads = ("material, as found in the room", "alpha_w", "shape", "NRC")
+        sheets["ratings"] = Table("", heads, rated)
     if content:
         with located(str(path_of(file))), complete("result", "as roomfit writes it"):
             sheets |= _further_tables(content)

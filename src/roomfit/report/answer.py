@@ -133,6 +133,7 @@ def result_blocks(
     if scene is not None:
         areas: list[Block] = [Sentence(_AREAS), *tables.area_tables(answer, scene)]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
+        areas += tables.rating_tables(answer)
         folded("Absorption areas", "areas", words, areas)
     words = "every room parameter, measured and predicted"
     folded("Pair by pair", "pairs", words, _pairs(answer))

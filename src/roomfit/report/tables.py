@@ -13,6 +13,11 @@ from roomfit.base.bands import OCTAVES_HZ
 from roomfit.base.table import Cell, Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks.verdict import what_remains
+from roomfit.materials.ratings import (
+    noise_reduction_coefficient,
+    rated_bands,
+    weighted_absorption,
+)
 from roomfit.model.patterns import axial_index_db
 from roomfit.report.wording import (
     BANDS_AT_MOST,
@@ -210,6 +215,31 @@ def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     )
     centres = answer.bands.centres_hz
     return band_tables(caption, "material", centres, rows, before=("S in m²",))
+
+
+def _two(value: float, _: float) -> str:
+    return number(value, 2)
+
+
+def rating_tables(answer: Result) -> tuple[Table, ...]:
+    """Return single-number ratings of each material, where all octaves that they need are known."""
+    at = rated_bands(answer.bands)
+    if not at:
+        return ()
+
+    def weighted(octaves: FloatArray) -> float:
+        return weighted_absorption(octaves)[0]
+
+    rows: list[Sequence[Value]] = []
+    for i, name in enumerate(answer.materials):
+        three = np.stack([answer.absorption, answer.lower95, answer.upper95])[:, i, at]
+        rated = [[[f(x)] for x in three] for f in (weighted, noise_reduction_coefficient)]
+        sure = bool(answer.identifiable[i, at].all())
+        (first,), (second,) = (bounded_cells(np.array(x), sure, write=_two) for x in rated)
+        rows.append((name, first, weighted_absorption(three[0])[1], second))
+    caption = "Ratings of what was found in the room, which are no laboratory's"
+    heads = ("material", "\N{GREEK SMALL LETTER ALPHA}w (ISO 11654)", "shape", "NRC (ASTM C423)")
+    return (Table(caption, heads, rows),)
 
 
 def fit_tables(answer: Result) -> tuple[Table, ...]:
