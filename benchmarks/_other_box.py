@@ -62,6 +62,9 @@ def write_other_box(
     scattering: float | None = None,
     objects_m2: float = 0.0,
     from_hz: float = 125.0,
+    between: tuple[float, float] = (0.0, 1.0),
+    covered: tuple[int, np.ndarray] | None = None,
+    image_order: int = HYBRID_ORDER,
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
@@ -76,11 +79,15 @@ def write_other_box(
     noise_db : float, optional
         Level of the noise below the peak, -inf for none; left out: -60 to -45, drawn.
     scattering : float, optional
-        Of every wall: images to `HYBRID_ORDER`, then 20,000 rays of the other program; left out:
+        Of every wall: images to `image_order`, then 20,000 rays of the other program; left out:
         image sources alone.
     objects_m2 : float
         Equivalent absorption area A of what stands in the room, in every band: the other program's
         pressures fall by ``exp(-A c t / (8 V))``. The campaign says nothing of it.
+    between : tuple of float
+        Lowest and highest absorption, by which what is drawn is clipped.
+    covered : tuple of int and float array, optional
+        A wall, by its number, and its absorption in seven octaves in place of its own.
     """
     import soundfile
 
@@ -88,7 +95,9 @@ def write_other_box(
     lengths = _lengths(rng)
     low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
     logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 7)), axis=1)
-    absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
+    absorption = np.clip(1.0 / (1.0 + np.exp(-np.clip(logit, low, high))), *between)
+    if covered is not None:
+        absorption[covered[0]] = covered[1]
     n_sources, n_receivers = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}[n_pairs]
     places = _places(rng, lengths)
     at = {f"LS{i + 1}": places[i] for i in range(n_sources)}
@@ -105,7 +114,7 @@ def write_other_box(
         responses = _delayed(lengths, absorption, true, pairs, c, delays)
     else:
         box = lengths, absorption, scattering
-        responses = _simulated(box, true, pairs, c, b, rate_hz, seed)
+        responses = _simulated(box, true, pairs, c, b, rate_hz, seed, image_order)
     rate = c * objects_m2 / (8.0 * float(np.prod(lengths)))
     for (s, r), whole in zip(pairs, responses, strict=True):
         pressure = whole * np.exp(-rate * np.arange(len(whole)) / rate_hz)
@@ -113,8 +122,8 @@ def write_other_box(
         soundfile.write(folder / f"{s}_{r}.wav", noisy, rate_hz, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
-    between = from_hz, top_hz
-    text = _campaign_text(lengths, materials, at, pairs, position_error_m, between, specified)
+    fitted_hz = from_hz, top_hz
+    text = _campaign_text(lengths, materials, at, pairs, position_error_m, fitted_hz, specified)
     campaign.write_text(text)
     return OtherBox(campaign, lengths, materials, absorption, true, c, delays, b)
 
@@ -164,6 +173,7 @@ def _simulated(
     b: dict[str, np.ndarray],
     rate_hz: int,
     seed: int,
+    image_order: int,
 ) -> list[np.ndarray]:
     """Return the other program's responses of all pairs, time 0 at the emission.
 
@@ -190,7 +200,7 @@ def _simulated(
         list(lengths),
         fs=rate_hz,
         materials=materials,
-        max_order=order if scattering is None else HYBRID_ORDER,
+        max_order=order if scattering is None else image_order,
         air_absorption=True,
         ray_tracing=scattering is not None,
     )
