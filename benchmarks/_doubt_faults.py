@@ -24,13 +24,27 @@ from _doubt_rooms import (
     simulated_case,
     spaced_plan,
 )
-from _misspecified import patch_on_hardest_wall
 from hostile import Case, exponential_window, longer, with_files, with_scene
 from roomfit.base.typing import FloatArray
 from roomfit.demo.boxes import WALLS, BoxPlan
 from roomfit.room.scene import Point
 from simulated_rooms.patched_box import Patch
 from simulated_rooms.random_boxes import random_plan
+
+OCTAVES = 8  # of a plan, 63 to 8000 Hz
+
+
+def patch_on_hardest_wall(
+    plan: BoxPlan, width_m: float, height_m: float, absorption: float
+) -> Patch:
+    """Return a door on the hardest of the upright walls, where it changes most."""
+    names = ("west", "east", "south", "north")
+    hardest = int(np.argmin(plan.absorption[:4].mean(axis=1)))
+    along = plan.lengths_m[1] if hardest < 2 else plan.lengths_m[0]
+    begin = 0.3 * (along - width_m)
+    values = np.full(OCTAVES, absorption)
+    return Patch(names[hardest], (begin, 0.0), (begin + width_m, height_m), values)
+
 
 # Of `hostile.FAULTS`: what is no fault, and what no data can tell from a right description.
 HARMLESS = ("resampled", "10 s at 192 kHz", "ceiling fixed and right")

@@ -27,7 +27,7 @@ from roomfit.base.polygon import Face
 from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
-from roomfit.predict.predict import ChangingRoom, prepare
+from roomfit.predict.predict import prepare
 from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.build import build_mesh
@@ -156,17 +156,6 @@ def posterior(materials: tuple[str, ...], absorption: FloatArray) -> AbsorptionP
     covariance = np.stack([0.01 * np.eye(len(materials))] * absorption.shape[1])
     bands = roomfit.bands_between("octave", 125, 4000)
     return AbsorptionPosterior(materials, bands, absorption, low, high, covariance)
-
-
-def strips(n: int) -> ChangingRoom:
-    """Return a prepared box, of more than four surfaces with a ceiling of so many strips."""
-    scene = box((9.0, 6.0, 3.2), 8)
-    if n > 4:
-        cuts = np.linspace(0.0, 1.0, n + 1)
-        scene = replace(scene, room=strip_room((9.0, 6.0, 3.2), cuts))
-    materials = scene.room.materials
-    a = np.linspace(0.06, 0.2, len(materials))[:, None] * np.linspace(0.7, 1.3, 6)
-    return prepare(Question(scene, posterior(materials, a)))
 
 
 def strip_room(lengths_m: tuple[float, float, float], shares: FloatArray) -> Room:
