@@ -281,8 +281,7 @@ def treat(progress: Progress, folder: Path, doubted: bool = False) -> None:
         project.best_result(folder),
         folder / project.TREATMENT_QUESTION,
         project.inside(folder, folder / project.TREATMENT),
-        project.variants(folder),
-        wanted=Wanted(doubted=doubted),
+        wanted=Wanted(doubted=doubted, variants=project.variants(folder)),
         overwrite=True,
         png=True,  # for Word
         progress=progress,

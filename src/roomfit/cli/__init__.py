@@ -87,7 +87,7 @@ def _carried_out(options: argparse.Namespace) -> int:
     if "state" in own:
         from roomfit.files.questions import Wanted
 
-        asked = own.keys() & {"pairs", "state", "grid_m", "doubted"}
+        asked = own.keys() & {"pairs", "state", "grid_m", "doubted", "variants"}
         own["wanted"] = Wanted(**{name: own.pop(name) for name in asked})
     try:
         function = getattr(import_module(f"roomfit.{module}"), name)

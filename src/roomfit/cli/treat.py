@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,6 @@ def treat_to_folder(
     absorption_file: ResultFile | None,
     treatment_file: Path,
     out: Path,
-    changes: Sequence[str] = (),
     *,
     wanted: Wanted | None = None,
     overwrite: bool = False,
@@ -53,9 +51,9 @@ def treat_to_folder(
     """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder.
 
     And client.html, two pages that `roomfit export` makes PDF of, and Word with pictures as `png`;
-    it has the variants that `changes` name beside what hangs then.
+    it has the variants that are wanted beside what hangs then.
     """
-    named = [read_change(text) for text in changes]
+    named = [read_change(text) for text in (wanted or Wanted()).variants]
     if unnamed := [c for c in named if not c.variant]:
         what, found_here = "a change that belongs to no variant", change_text(unnamed[0])
         needed = "NAME | CHANGE: variants stand beside what is chosen to be hung"

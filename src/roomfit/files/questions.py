@@ -66,6 +66,7 @@ class Wanted(NamedTuple):
     # changes, and states that were not fitted, also in bands in which serious findings of the
     # result concern its walls
     doubted: bool = False
+    variants: Sequence[str] = ()  # of `roomfit treat`, as `roomfit.read_change` takes them
 
 
 def question_of(
@@ -168,7 +169,7 @@ def _of_field(
         what, found_here = "the absorption of the room is not given", "recordings or tables alone"
         needed = "a result of what the campaign has measured"
         hint = "roomfit identify first, then --absorption result.json"
-    elif wanted._replace(doubted=False) != Wanted():
+    elif wanted._replace(doubted=False, variants=()) != Wanted():
         what, found_here = "without positions there are neither pairs nor states", "such an option"
         needed = "sources and receivers with positions, and --absorption"
         hint = "leave --pairs, --state and --grid out"

@@ -8,16 +8,13 @@ from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
 
 _REFERENCE = np.array([0.8, 1.0, 1.0, 1.0, 0.9])  # ISO 11654:1997, 250 Hz to 4 kHz
-_STEP, _UNFAVOURABLE, _EXCESS = 0.05, 0.1, 0.25
-_RATED_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
+_STEP = 0.05
 
 
 def rated_bands(bands: Bands) -> list[int]:
     """Return the indices of the octaves from 250 Hz to 4 kHz; none where one is missing."""
-    centres_hz = bands.centres_hz.tolist()
-    if bands.kind != "octave" or not set(_RATED_HZ) <= set(centres_hz):
-        return []
-    return [centres_hz.index(f) for f in _RATED_HZ]
+    at = np.flatnonzero((bands.centres_hz >= 250.0) & (bands.centres_hz <= 4000.0)).tolist()
+    return at if bands.kind == "octave" and len(at) == _REFERENCE.size else []
 
 
 def _to_step(values: FloatArray | float) -> FloatArray:
@@ -42,8 +39,8 @@ def weighted_absorption(octaves: FloatArray) -> tuple[float, str]:
         return float("nan"), ""
     shifts = _STEP * np.arange(21)
     below = np.maximum(_REFERENCE - shifts[:, None] - practical, 0.0).sum(axis=1)
-    shift = shifts[np.flatnonzero(below <= _UNFAVOURABLE + 1e-9)[0]]
-    over = practical - (_REFERENCE - shift) > _EXCESS - 1e-9
+    shift = shifts[np.flatnonzero(below <= 0.1 + 1e-9)[0]]
+    over = practical - (_REFERENCE - shift) > 0.25 - 1e-9
     shapes = {"L": over[:1], "M": over[1:3], "H": over[3:]}
     indicators = "".join(letter for letter, own in shapes.items() if own.any())
     return round(float(1.0 - shift), 2), indicators

@@ -141,8 +141,10 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
     """
     pairs, rows = compared_pairs(answer.pairs), []
     known = parameter_keys(pairs)
-    early = next((key for key in ("C80_dB", "C50_dB", "D50_percent") if key in known), None)
-    for key in filter(None, (wording.decay_time_key(known), early)):
+    # of each kind what is known in most bands
+    kinds = ("T20_s", "T30_s", "EDT_s"), ("C80_dB", "C50_dB", "D50_percent")
+    keys = (next((key for key in kind if key in known), None) for kind in kinds)
+    for key in filter(None, keys):
         compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
         values = np.array([(c.measured, c.jnd, c.null) for c in compared], dtype=np.float64)
         for band in range(len(answer.bands)):

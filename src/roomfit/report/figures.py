@@ -417,22 +417,21 @@ def evaluated_decay(pair: ComparedPair, band: int) -> tuple[str, tuple[float, fl
 
     "" where a measured or a predicted one is missing, None where no measured one is.
     """
-    key = wording.decay_time_key(pair.parameters)
-    if key is None or not np.isfinite(pair.parameters[key].measured[band]):
+    known = [k for k, c in pair.parameters.items() if np.isfinite(c.measured[band])]
+    key = wording.decay_time_key(known)
+    if key is None:
         return "", None
     measured, predicted = (
         wording.number(float(x[band]), 2)
         for x in (pair.parameters[key].measured, pair.parameters[key].predicted)
     )
-    known = np.isfinite(pair.parameters[key].predicted[band])
-    words = f"{wording.parameter(key).symbol} {measured} → {predicted} s" if known else ""
+    words = f"{wording.parameter(key).symbol} {measured} → {predicted} s"
+    words = words if np.isfinite(pair.parameters[key].predicted[band]) else ""
     high, low = FIT_RANGES_DB[key]
     return words, (-low, -high)
 
 
 # ---------------------------------------------------------------- recordings
-
-_LOWEST_OF_RECORDINGS_DB = -80.0
 
 
 def recording_figure(checked: CheckedRecordings) -> Figure:
@@ -457,7 +456,7 @@ def recording_figure(checked: CheckedRecordings) -> Figure:
         title_of_pair(figure, f"{title} ({literal(pair.measurement.name)})", group)
     ends = [float(p.curve.usable_end_s.max()) for p in pairs]
     panels[0].set_xlim(0.0, 1.4 * max(ends))
-    panels[0].set_ylim(_LOWEST_OF_RECORDINGS_DB, 3.0)
+    panels[0].set_ylim(-80.0, 3.0)
     figure.supylabel("level (dB)", fontsize=10, x=0.08 / figure.get_figwidth())
     figure_legend(figure, title=" ")
     return figure

@@ -97,8 +97,7 @@ def decay_answer(
     out: whether it was measured. `open_for` is that of `parameter_rows`.
     """
     known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
-    # T30 is what a client asks for
-    name = "T30_s" if "T30_s" in known else wording.decay_time_key(known)
+    name = wording.decay_time_key(known)
     if name is None:
         return None
     v, symbol, centres_hz = means[name], wording.parameter(name).symbol, bands.centres_hz

@@ -73,8 +73,8 @@ def _draw_predicted(
     for artist in drawn:
         artist.set_gid(group)
         axes.add_artist(artist)
-    key = wording.decay_time_key(times)
-    if key is not None and np.isfinite(times[key].predicted[band]):
+    key = wording.decay_time_key(k for k, v in times.items() if np.isfinite(v.predicted[band]))
+    if key is not None:
         words = f"{wording.parameter(key).symbol} {times[key].predicted[band]:.2f} s"
         figures.words_of_panel(axes, words, group)
 

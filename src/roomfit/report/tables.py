@@ -404,7 +404,7 @@ def mean_decay_times(
     """Return symbol, measured and predicted mean decay time by band; None where none is known."""
     pairs = compared_pairs(pairs)
     known = parameter_keys(pairs)
-    key = "T30_s" if "T30_s" in known else decay_time_key(known)
+    key = decay_time_key(known)
     if key is None:
         return None
     own = [p.parameters[key] for p in pairs if key in p.parameters]

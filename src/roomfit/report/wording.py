@@ -226,9 +226,9 @@ def parameter(key: str) -> Parameter:
 
 
 def decay_time_key(known: Iterable[str]) -> str | None:
-    """Return which of the known parameters represents the decay time; None where none does."""
+    """Return which of the known parameters is the decay time that a client asks for, or None."""
     found = set(known)
-    return next((key for key in ("T20_s", "T30_s", "EDT_s") if key in found), None)
+    return next((key for key in ("T30_s", "T20_s", "EDT_s") if key in found), None)
 
 
 # Of these the mean is the single number of a decay time (ISO 3382-1:2009, table A.1).
