@@ -32,7 +32,7 @@ def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_pat
     with locked(place):
         (row,) = identify_rooms([campaign], out)
     assert (row.status, row.message) == ("elsewhere", "another run is identifying this room")
-    assert "1 rooms: 1 elsewhere." in text(described([row]))
+    assert "1 room: 1 elsewhere." in text(described([row]))
     assert list((out / "failures").iterdir()) == []
     (row,) = identify_rooms([campaign], out)
     assert row.status == "refused"  # it has no source
