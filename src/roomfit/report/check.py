@@ -90,7 +90,6 @@ def describe(checked: CheckedRecordings, advice: Advice | None = None) -> Blocks
 
 # ISO 3382-2:2008, table 1: pairs, sources and receivers at least; B.2 and B.3
 _GRADES = (("precision", 12, 2, 3), ("engineering", 6, 2, 2), ("survey", 2, 1, 2))
-_MOST_BENT = 10.0  # percent of curvature C, per mille of non-linearity
 
 
 def _measured(checked: CheckedRecordings) -> Iterator[Block]:
@@ -147,7 +146,7 @@ def _conditions(checked: CheckedRecordings, bent: Mapping[str, FloatArray]) -> I
         enough = enough or "fewer than ISO 3382-2 asks for its survey method"
         words = f"{count(n[0], 'pair')} of {count(n[1], 'source')} and {count(n[2], 'receiver')}"
         yield f"{f'{state}: ' if state else ''}T20 of {words}: {enough}."
-    far = [np.flatnonzero((x > _MOST_BENT).any(axis=0)) for x in bent.values()]
+    far = [np.flatnonzero((x > 10.0).any(axis=0)) for x in bent.values()]
     if at := sorted(set(np.concatenate(far).tolist())):
         bands = band_ranges(checked.bands.centres_hz, np.isin(np.arange(len(checked.bands)), at))
         yield f"At {bands} decays are bent: C above 10 % or ξ above 10 ‰."
