@@ -8,9 +8,7 @@ from typing import Any
 from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
-from roomfit.base.table import csv_of
 from roomfit.base.whole_files import check_place, write_bytes_atomically
-from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import export_materials, workbook_bytes
 from roomfit.files.results import material_table_of, read_materials
@@ -45,7 +43,7 @@ def export_result(
         A ``result.json`` or an ``absorption.csv``; for "pdf" and "word" with its ``report.html``
         beside it, for "word" its PNG pictures as well. Or a result in memory, but for "excel",
         "pdf" and "word".
-    wanted : {"catt", "odeon", "isimpa", "pyroomacoustics", "csv", "budget", "excel", "pdf", "word"}
+    wanted : {"catt", "odeon", "isimpa", "pyroomacoustics", "csv", "excel", "pdf", "word"}
     out : Path
         The file to write.
     scattering : float, optional
@@ -74,9 +72,7 @@ def export_result(
     # as the programs write themselves: CATT-Acoustic, I-Simpa
     wanted = wanted.lower().replace("-", "").removesuffix("acoustic")
     findings: tuple[Finding, ...] = ()
-    if wanted == "budget":
-        content = csv_of(budget_records(uncertainty_budget(result_file))).encode()
-    elif wanted in ("excel", "pdf", "word"):
+    if wanted in ("excel", "pdf", "word"):
         if isinstance(result_file, Result):
             what = "this format is made from the files of a result"
             found = f"{wanted!r} of a Result"

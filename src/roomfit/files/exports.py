@@ -231,8 +231,8 @@ def export_materials(
 
     `scattering`, 0 to 1, is written where the table has none.
     """
-    if wanted not in FORMATS:  # the other four are no materials as text
-        others = ("budget", "excel", "pdf", "word")
+    if wanted not in FORMATS:  # the other three are no materials as text
+        others = ("excel", "pdf", "word")
         check_known("no such format for an export", wanted, (*FORMATS, *others))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering

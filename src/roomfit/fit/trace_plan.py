@@ -36,8 +36,9 @@ _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # Rays that err by a third of a window's data err by as much of T30 at 4 kHz and by half as much of
 # all other values and bands; they are part of a value's variance in the fit, as of no window's.
 _OF_VALUES = 1.0 / 2.0
-# A trace takes about twice the memory of its paths.
-_MOST_PATH_BYTES = 480e6
+# A trace takes about twice the memory of its paths. In a prediction of many pairs, as on a map,
+# each has fewer rays, whose error is in its interval.
+_MOST_PATH_BYTES, MOST_PREDICTED_BYTES = 480e6, 1.5e9
 # A fit asks for image sources of every order as far as its windows go, if they can be had; in a
 # box, where they cost little, as far as energies are compared.
 _FAR_UNTIL_S, _LEAST_FAR_S = 0.22, 0.03

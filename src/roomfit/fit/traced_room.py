@@ -54,8 +54,6 @@ _ATTEMPTS = 4
 _PILOT_RAYS, _PILOT_PAIRS = 10_000, 8
 _LONGER = 1.5
 _LONGEST_S = 30.0
-# Of many pairs, as on a map, each has fewer rays, whose error is in its interval.
-_MOST_PATH_BYTES = 1.5e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,7 +272,9 @@ def trace_room(
             far_s = trace_plan.images_until_s(scene, trace_plan.traced_s(*own[2:]), settings)
             plan = trace_plan.plan_trace(*own, beside_images, images_until_s=far_s)
             if trace_plan.has_every_order(plan.settings):
-                few = trace_plan.with_affordable_rays(scene, plan.settings, _MOST_PATH_BYTES)
+                few = trace_plan.with_affordable_rays(
+                    scene, plan.settings, trace_plan.MOST_PREDICTED_BYTES
+                )
                 return plan if settings.n_rays else replace(plan, settings=few)
         return trace_plan.plan_trace(*own, settings)
 

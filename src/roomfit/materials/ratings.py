@@ -8,7 +8,6 @@ from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
 
 _REFERENCE = np.array([0.8, 1.0, 1.0, 1.0, 0.9])  # ISO 11654:1997, 250 Hz to 4 kHz
-_STEP = 0.05
 
 
 def rated_bands(bands: Bands) -> list[int]:
@@ -18,7 +17,7 @@ def rated_bands(bands: Bands) -> list[int]:
 
 
 def _to_step(values: FloatArray | float) -> FloatArray:
-    return np.minimum(np.floor(np.asarray(values) / _STEP + 0.5) * _STEP, 1.0)
+    return np.minimum(np.floor(20.0 * np.asarray(values) + 0.5) / 20.0, 1.0)
 
 
 def weighted_absorption(octaves: FloatArray) -> tuple[float, str]:
@@ -37,7 +36,7 @@ def weighted_absorption(octaves: FloatArray) -> tuple[float, str]:
     practical = _to_step(octaves)
     if np.isnan(practical).any():
         return float("nan"), ""
-    shifts = _STEP * np.arange(21)
+    shifts = np.arange(21) / 20.0
     below = np.maximum(_REFERENCE - shifts[:, None] - practical, 0.0).sum(axis=1)
     shift = shifts[np.flatnonzero(below <= 0.1 + 1e-9)[0]]
     over = practical - (_REFERENCE - shift) > 0.25 - 1e-9
