@@ -212,7 +212,7 @@ def _append_figure(book: Any, node: Any, pictures: Mapping[str, bytes]) -> None:
     if chosen < len(found):
         _append_picture(book, pictures[found[chosen]], title, _WIDTH_MM - 2 * _MARGIN_MM)
     else:
-        book.add_paragraph(f"[In report.html: {title}]")
+        book.add_paragraph(f"[{title}]")
     book.add_paragraph(_text(node.find("figcaption")), style="Caption")
 
 

@@ -330,12 +330,9 @@ def parameter_rows(
         v, c = table[name], table[name].change
         label, decimals = wording.PARAMETERS[name].label, wording.PARAMETERS[name].decimals
         has_measured = bool(np.isfinite(v.measured).any())
-        steps = [
-            f"{wording.number(x, 1, signed=True)} JND" if np.isfinite(x) and c is None else ""
-            for x in v.jnd
-        ]
+        steps = [f"{wording.number(x, 1, signed=True)} JND" for x in v.jnd]
         measured = [
-            Cell(wording.number(m, decimals), (step,) if step else ())
+            Cell(wording.number(m, decimals), (step,) * (c is None and wording.DASH not in step))
             for m, step in zip(v.measured, steps, strict=True)
         ]
         predicted = _with_bounds(decimals, v.predicted, v.lower95, v.upper95)
