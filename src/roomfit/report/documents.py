@@ -18,7 +18,6 @@ from typing import Any
 
 from roomfit.base.door import quiet
 from roomfit.base.errors import InputError
-from roomfit.report.wording import DASH
 
 OWN_PAGE = '<meta name="generator" content="roomfit">'
 _VARIABLE = re.compile(r"var\(--[\w-]+,\s*(#\w+)\)")
@@ -144,7 +143,7 @@ def _append(book: Any, parent: Any, pictures: Mapping[str, bytes]) -> None:
             _append_item(book, node)
         elif kind == "dt":
             line = book.add_paragraph()
-            line.add_run(f"{_text(node)} {DASH} ").bold = True
+            line.add_run(f"{_text(node)} \N{EN DASH} ").bold = True
             line.add_run(_text(node.getnext()))
         elif kind == "table":
             _append_table(book, node)
