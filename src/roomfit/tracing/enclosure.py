@@ -499,10 +499,7 @@ def _cut(mesh: Mesh, some: BoolArray, crossed: BoolArray) -> tuple[Mesh, BoolArr
         parts, spans = [corners[i]], np.stack((low[i], high[i]))[None]
         near = np.all((low <= high[i]) & (high >= low[i]), axis=1)
         near[i] = False
-        near = np.flatnonzero(near)
-        off_m = np.einsum("jki,ji->jk", corners[i] - corners[near, :1], normals[near])
-        below, above = off_m.min(axis=1) < -WELD_TOLERANCE_M, off_m.max(axis=1) > WELD_TOLERANCE_M
-        for j in near[below == above]:  # on both sides of that plane, or in it
+        for j in np.flatnonzero(near):
             touched = np.all((spans[:, 0] <= high[j]) & (spans[:, 1] >= low[j]), axis=1)
             n_pairs += int(np.count_nonzero(touched))
             check_limit("crossings", n_pairs, "the room file")
