@@ -221,6 +221,12 @@ def test_what_if_shows_speech_limits_sounds_and_what_to_hang(
     page.get_by_label(re.compile("^Absorption of .* at 1 kHz")).press("End")
     page.get_by_text("1 material changed").wait_for()
     page.wait_for_function(_DRAWN_ANEW, arg=before)
+    # kept under a name, beside what else is
+    page.get_by_label("Name of what is set above, as curtain open").fill("hard at 1 kHz")
+    page.get_by_role("button", name="Keep it").click()
+    beside = page.locator(".variants")
+    beside.get_by_role("rowheader", name="hard at 1 kHz").first.wait_for(timeout=_MINUTES_MS)
+    assert beside.get_by_role("button", name="Forget hard at 1 kHz").count() == 1
     # to listen to
     page.get_by_role("button", name="Make the sounds of what is set above").click()
     page.locator("audio").first.wait_for(timeout=_MINUTES_MS)

@@ -140,7 +140,7 @@ class WhatIfTab(Tab):
                     self.sliders = ui.element("div")
                 self.shown = markup("").classes("panel answer").style("margin: 0.75rem 0")
                 self.said = ui.element("div")
-                self.kept = ui.element("div").classes("panel answer")
+                self.kept = ui.element("div").classes("panel variants")
                 self.sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
             self.treatment = TreatmentForm(bench, lambda: bool(self.asked["doubted"]))
         self.both.set_visibility(False)
