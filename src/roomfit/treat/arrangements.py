@@ -239,8 +239,9 @@ class _Outcome(NamedTuple):
     numbers: FloatArray  # (n_rows,), as they are predicted
     cost: float
     means: _Means
-    rows: FloatArray  # (n_draws, n_rows)
-    odds: FloatArray  # as `rows`, that each draw is measured within its limits
+    rows: FloatArray  # (n_draws, n_rows), as absorption was drawn
+    together: FloatArray  # the same, bands off together, see `_together`
+    odds: FloatArray  # of `together`, that each draw is measured within its limits
     missed: tuple[str, ...]  # in words
 
 
@@ -252,10 +253,11 @@ def _outcome(
         problem.room, question.treated(problem, pieces), question.treated_draws(problem, pieces)
     )
     rows, numbers = question.rows_of(problem, drawn), _numbers_of(problem, means)
-    odds = _odds(problem, means, numbers, rows)
+    together = question.rows_of(problem, _together(drawn))
+    odds = _odds(problem, means, numbers, together)
     missed = _missed(problem, numbers, odds.mean(axis=0), probability)
     cost = float(problem.cost @ pieces)
-    return _Outcome(pieces, searched, numbers, cost, means, rows, odds, missed)
+    return _Outcome(pieces, searched, numbers, cost, means, rows, together, odds, missed)
 
 
 def _numbers_of(problem: question.Problem, means: _Means, kind: str = "predicted") -> FloatArray:
@@ -264,6 +266,16 @@ def _numbers_of(problem: question.Problem, means: _Means, kind: str = "predicted
     own = [getattr(table[problem.targets[t].parameter], kind) for t in problem.target]
     each = zip(problem.weights, own, strict=True)
     return np.array([np.sum(np.where(w > 0.0, w * x, 0.0)) for w, x in each])
+
+
+def _together(drawn: FloatArray) -> FloatArray:
+    """Return draws (n_draws, n_names, n_bands), in every band in the order of its decay time.
+
+    The absorption of each band is drawn by itself, but what is wrong with a description is wrong in
+    all bands: a mean of three bands is off as much as each of them.
+    """
+    order = np.argsort(drawn[:, VALUE_NAMES.index("T30_s")], axis=0)
+    return np.asarray(np.take_along_axis(drawn, order[:, None], axis=0))
 
 
 def _of_targets(problem: question.Problem, odds: FloatArray) -> tuple[FloatArray, float]:
@@ -319,7 +331,7 @@ def _margin(problem: question.Problem, one: _Outcome, probability: float) -> Flo
     The quantile of what may be measured, beside the number of the search: draws are not symmetric
     about it. At a probability of one half the number that is predicted.
     """
-    rows = one.rows
+    rows = one.together
     steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
     sd = _rest_sd(problem, one.means, one.numbers)
     wide = _in_logs(problem, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
