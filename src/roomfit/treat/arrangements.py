@@ -438,17 +438,14 @@ def _findings(
             f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."
         )
         found.append(Finding(Code.TARGET_NOT_MET, About(), sentence, {"missed": list(missed)}))
-    partly = [
-        f"{h.surface} ({100 * h.share:.0f} %)"
-        for a in arrangements
-        for h in a.hung
-        if 0.02 < h.share < 0.98
-    ]
+    partly: dict[str, str] = {}  # each surface once, as in the first arrangement that covers it
+    for h in (h for a in arrangements for h in a.hung if 0.02 < h.share < 0.98):
+        partly.setdefault(h.surface, f"{h.surface} ({100 * h.share:.0f} %)")
     if partly:
         sentence = (
-            f"Covered in part, as {', '.join(dict.fromkeys(partly))}: predicted with the mean of "
+            f"Covered in part, as {', '.join(partly.values())}: predicted with the mean of "
             "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
             "receiver may do more early on; divide the surface in the model to see it."
         )
-        found.append(Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": partly}))
+        found.append(Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": [*partly]}))
     return tuple(found)
