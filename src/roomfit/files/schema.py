@@ -115,11 +115,13 @@ class RoomSpec(Table):
         if self.height is not None and self.plan is None:
             what, found = "a height without a plan", f"height = {self.height}"
             hint = "leave height out: files, boxes and polygons have their own"
-            raise InputError(what, found=found, needed="plan = [[x, y], ...]", hint=hint)
+            needed = "plan = [[x, y], ...]"
+            raise InputError(what, where="room", found=found, needed=needed, hint=hint)
         if self.space is not None and (self.file or Path()).suffix.lower() not in _OF_SEVERAL:
             what = "only a building model and a scan have spaces"
             needed = f"a file of {' or '.join(_OF_SEVERAL)}"
-            raise InputError(what, found=self.space, needed=needed, hint="leave space out")
+            hint = "leave space out"
+            raise InputError(what, where="room", found=self.space, needed=needed, hint=hint)
 
     def within(self, folder: Path) -> RoomSpec:
         """Return it with paths that were relative to a folder."""

@@ -447,5 +447,7 @@ def _findings(
             "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
             "receiver may do more early on; divide the surface in the model to see it."
         )
-        found.append(Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": [*partly]}))
+        found.append(
+            Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": [*partly]})
+        )
     return tuple(found)
