@@ -55,7 +55,7 @@ def measured_t30_s(campaign: Path) -> np.ndarray:
     """Return the mean T30 over the pairs in every band, (n_bands,)."""
     own = load_campaign(campaign)
     checked = check_recordings(own["scene"], own["measurements"], own["bands"])
-    return np.asarray(np.nanmean(checked.parameter("T30_s"), axis=0))
+    return np.ma.masked_invalid(checked.parameter("T30_s")).mean(axis=0).filled(np.nan)
 
 
 def treated(seed: int) -> Treated:
@@ -86,8 +86,9 @@ def treated(seed: int) -> Treated:
     area_m2 = float(material_areas_m2(room.scene.room)[known.materials.index(name)])
     product = Product("wool", mean, sd, 1.0, 0.9999 * area_m2, entry=HUNG)
     (arrangement,) = treat(room, [Surface(name)], [product], limits, number=1).arrangements
-    if not arrangement.hung:  # nothing is expected of it
-        raise InsufficientDataError("the wall is not covered", found=name, needed="", hint="")
+    if not (arrangement.hung and np.isfinite(measured[at]).all()):
+        what = "nothing is expected of the wall, or T30 cannot be measured"
+        raise InsufficientDataError(what, found=name, needed="", hint="")
     assert value.change is not None
     bounds = np.array([value.lower95[at], value.upper95[at]])
     met = measured[at].mean() <= np.array([limit.high for limit in limits])
