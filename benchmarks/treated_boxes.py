@@ -55,7 +55,8 @@ def measured_t30_s(campaign: Path) -> np.ndarray:
     """Return the mean T30 over the pairs in every band, (n_bands,)."""
     own = load_campaign(campaign)
     checked = check_recordings(own["scene"], own["measurements"], own["bands"])
-    return np.ma.masked_invalid(checked.parameter("T30_s")).mean(axis=0).filled(np.nan)
+    known = np.ma.masked_invalid(checked.parameter("T30_s"))
+    return np.asarray(known.mean(axis=0).filled(np.nan))
 
 
 def treated(seed: int) -> Treated:
