@@ -55,6 +55,7 @@ def main() -> None:
             subprocess.run([browser, *options, window, address], check=True, capture_output=True)
             keep(shot, picture)
         keep(folder / "checked" / "room.png", "check")
+        keep(folder / "checked" / "recording_03_LS1_MP3.png", "recording")
 
 
 def keep(file: Path, name: str) -> None:
