@@ -93,6 +93,13 @@ def unpacked_limit_bytes(packed_bytes: int) -> float:
     return min(limit("unpacked_bytes"), by_size)
 
 
+def too_many_numbers(most_bytes: float) -> ValueError:
+    """Return the error of a file whose numbers take more than `unpacked_limit_bytes`."""
+    name = "unpacked_bytes" if most_bytes >= limit("unpacked_bytes") else "unpacked_times"
+    cure = f'if the file is meant: {_VARIABLE}="{name}=NUMBER"'
+    return ValueError(f"more than {most_bytes:.4g} bytes of numbers; {cure}")
+
+
 def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
     """Return the content of a regular file, at most so much as the limit `most` allows."""
     place = str(path)

@@ -23,7 +23,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from roomfit.base.door import limit, unpacked_limit_bytes
+from roomfit.base.door import limit, too_many_numbers, unpacked_limit_bytes
 from roomfit.base.errors import DAMAGE
 
 _LIBRARIES_BYTES = 2**30
@@ -100,14 +100,13 @@ def _serve(read: str, memory_bytes: float, seconds: float, most_bytes: float) ->
             content, most_bytes, place
         )
         if sum(a.nbytes for a in arrays) > most_bytes:
-            raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+            raise too_many_numbers(most_bytes)
         text = json.dumps(head)
     except DAMAGE as error:
         why = f"{type(error).__name__}: {error}"
         if isinstance(error, MemoryError):
             why = "more memory than a file of its size needs"
-        message = f"{place[0]}: {why}"
-        text, arrays = json.dumps({"error": " ".join(message.split())[:500]}), []
+        text, arrays = json.dumps({"error": " ".join(f"{place[0]}: {why}".split())[:500]}), []
     out.write(text.encode("ascii") + b"\n")
     for values in arrays:
         out.write(np.ascontiguousarray(values, dtype=np.float64).tobytes())

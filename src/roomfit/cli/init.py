@@ -19,7 +19,7 @@ from roomfit.files.campaign import blanks
 from roomfit.files.draft import carried_in, draft_campaign, likely_units
 from roomfit.files.edits import sole_editor
 from roomfit.files.file_names import matching_files, recordings_in
-from roomfit.files.responses import read_response
+from roomfit.files.responses import RESPONSE_SUFFIXES, read_response
 from roomfit.files.rooms import READERS
 from roomfit.files.schema import ResponseSpec, RoomSpec
 from roomfit.files.values import read_decay_times, read_positions
@@ -65,7 +65,7 @@ def init(
         names = recordings_in(folder)
         used = {m["file"] for m in written["measurements"]}
         if not names:
-            lines.append(f"no recordings lie in {folder}")
+            lines.append(f"no recordings lie in {folder}: no {', '.join(RESPONSE_SUFFIXES)}")
         for name in [n for n in names if n.endswith((".npy", ".mat"))][:1]:  # others are alike
             try:
                 read_response(ResponseSpec(folder / name, sampling_rate_hz=48_000.0))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomfit.base.arguments import read_only
+from roomfit.base.door import too_many_numbers
 from roomfit.base.isolated import isolated
 from roomfit.base.typing import FloatArray
 
@@ -69,7 +70,7 @@ def read(content: bytes, most_bytes: float, place: list[str]) -> tuple[dict[str,
                 entry["axes"] = _axes(member)
                 n_bytes += 8 * (member.size or 0)
                 if n_bytes > most_bytes:
-                    raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+                    raise too_many_numbers(most_bytes)
                 if member.shape is not None and member.dtype.kind in "iuf":
                     if member.external or member.is_virtual:
                         raise ValueError("its numbers lie in other files")
@@ -163,7 +164,7 @@ def read_mat(
         if not what:
             n_bytes += 8 * value.size
             if n_bytes > most_bytes:
-                raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+                raise too_many_numbers(most_bytes)
             arrays.append(np.asarray(value, dtype=np.float64))
     return {"variables": entries}, arrays
 

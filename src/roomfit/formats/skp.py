@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.door import too_many_numbers
 from roomfit.base.polygon import Surface
 from roomfit.formats.model import (
     Outlines,
@@ -75,7 +76,7 @@ def read(content: bytes, most_bytes: float, place: list[str]) -> tuple[dict[str,
                 n_bytes += corners.nbytes
                 hidden += is_hidden or bool(face.hidden)
             if n_bytes > most_bytes:
-                raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+                raise too_many_numbers(most_bytes)
         for part in own.instances:
             inner = model.definitions.get(part.ref_idx)
             if inner is None or inner.is_image or inner.always_faces_camera:

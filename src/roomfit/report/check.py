@@ -103,7 +103,7 @@ def _measured(checked: CheckedRecordings) -> Iterator[Block]:
         both = values.mean(axis=0), values.std(axis=0, ddof=1)
         cells = [[number(v, how.decimals) for v in row.filled(np.nan)] for row in (*values, *both)]
         head = f"{how.symbol}, {how.unit}{f', {state}' if state else ''}"
-        rows.append((head, *map(_with_deviation, *cells[-2:])))
+        rows.append((head, *map(lambda m, sd: Cell(m, () if sd == DASH else (sd,)), *cells[-2:])))
         heads = [checked.measurements[i].name for i in own] + ["mean", "standard deviation"]
         shown = [(h, *row) for h, row in zip(heads, cells, strict=True)]
         each += band_tables(head, "recording", centres_hz, shown)
@@ -128,10 +128,6 @@ def _measured(checked: CheckedRecordings) -> Iterator[Block]:
     picture = Drawing("recordings", title, words, "recording_figure", (checked,), names, files)
     tables = Part("Room parameters of each recording", tuple(each), folded=True)
     yield Part("Each recording", (picture, tables), "recordings", in_text=False)
-
-
-def _with_deviation(mean: str, deviation: str) -> Cell:
-    return Cell(mean, () if deviation == DASH else (deviation,))
 
 
 def _conditions(checked: CheckedRecordings, bent: Mapping[str, FloatArray]) -> Iterator[str]:

@@ -275,9 +275,9 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     crest = float(np.max(loud**2) / np.mean(loud**2))
     lasting = middle - begin > 0.6 * (end - middle) and crest < 40.0
     if lasting or _climbs(loud):
-        what = "this looks like a recording of the excitation, not like an impulse response"
+        what = "this looks like a recording of the excitation or of noise, no impulse response"
         found = f"sound that lasts {length_s:.2f} s without decaying"
-        hint = 'name the sweep as it was played: excitation = "sweep.wav" under [defaults]'
+        hint = 'excitation = "sweep.wav" under [defaults], the sweep as played; or measure louder'
     elif (again_s := _begins_again_s(pressure, response.sampling_rate_hz)) is not None:
         what, found = "the file holds a second sound", f"one {again_s:.2f} s after its beginning"
         hint = "cut the file before the second sound, or behind a click before the response"
