@@ -504,3 +504,19 @@ def test_a_sofa_file_that_claims_more_numbers_than_memory_is_refused(tmp_path):
         file.create_dataset("Data.IR", (10**6, 10**3, 10**6), "f8", chunks=(1, 1, 10**3))
     with pytest.raises(InputError, match="bytes of numbers"):
         read_response(ResponseSpec(path))
+
+
+def test_the_limit_that_a_refusal_of_many_numbers_names_lets_the_file_in(tmp_path, monkeypatch):
+    path = tmp_path / "a.sofa"
+    response = np.exp(-np.arange(48_000) / 4000.0) * np.random.default_rng(0).normal(size=48_000)
+    with h5py.File(path, "w") as file:
+        file.attrs["SOFAConventions"] = "GeneralFIR"
+        shape, chunks = (200, 1, 48_000), (1, 1, 48_000)
+        data = file.create_dataset("Data.IR", shape, "f8", chunks=chunks, compression="gzip")
+        data[0, 0, :4800] = response[:4800].round(2)
+        file["Data.SamplingRate"] = [48_000.0]
+    spec = ResponseSpec(path, measurement=0)
+    with pytest.raises(InputError, match='ROOMFIT_LIMITS="unpacked_times=NUMBER"'):
+        read_response(spec)
+    monkeypatch.setenv("ROOMFIT_LIMITS", "unpacked_times=100000")
+    assert len(read_response(spec)[0].pressure) == 48_000
