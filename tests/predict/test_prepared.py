@@ -112,8 +112,8 @@ def test_few_rows_bring_the_energies_of_all_of_them(room):
     """Each wall changed, all of them, and cases between: whole energies within 1 %."""
     a = room.absorption.absorption
     traced = room.traced
-    few = traced.reduced(0, a, 3000)
-    assert all(len(rows) <= 3000 < len(traced.binned.rows[0]) for rows in few.by_band)
+    few = traced.reduced(0, a, 1500)
+    assert all(len(rows) <= 1500 < len(traced.binned.rows[0]) for rows in few.by_band)
     edges_s = traced.binned.edges_s
     every_s = edges_s[:-1][:: reduced_rows.BINS_TOGETHER]
     np.testing.assert_array_equal(few.edges_s, [*every_s, edges_s[-1]])

@@ -46,6 +46,7 @@ from roomfit.room.scene import material_areas_m2
 from roomfit.treat import campaign as treatments
 from roomfit.treat.question import Target
 
+_LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
 _FIRST = "# What may be hung where, and what is to be reached: roomfit treat, docs/treat.md\n"
 _ready: dict[Path, tuple[tuple[float, ...], ChangingRoom]] = {}
 
@@ -97,12 +98,16 @@ def _ready_room(folder: Path, doubted: bool) -> ChangingRoom:
         room = prepare(question_of(campaign))
     else:
         found, wanted = read_result(result), Wanted(doubted=doubted)
-        nothing = [Change(name, "factor", (1.0,)) for name in found.materials]
-        room = prepare(question_of_pairs(campaign, found, nothing, wanted))
+        question = question_of_pairs(campaign, found, _harder(found.materials), wanted)
+        room = prepare(question, (_harder(question.known.materials),))
         # what a slider leaves as it was found is then known at its first move
-        predict_change(room, nothing[:1])
+        predict_change(room, [Change(question.known.materials[0], "factor", (1.0,))])
     _ready[folder] = stamp, room
     return room
+
+
+def _harder(materials: Sequence[str]) -> list[Change]:
+    return [Change(name, "factor", (_LEAST_FACTOR,)) for name in materials]
 
 
 def what_if(folder: Path, changes: list[str], doubted: bool = False) -> dict[str, Any]:

@@ -32,8 +32,6 @@ from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 _LOG = logging.getLogger("roomfit")
-# Draws last longer than what was found: followed is half of its absorption.
-_LEAST_FACTOR = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +163,7 @@ def _followed_absorptions(
     is_known = not absorption.is_unknown[changed].any()
     found = absorption.absorption
     followed = [changed_draws(absorption, found[None], c, 0)[0] for c in alternatives]
-    followed += [_LEAST_FACTOR * found] if is_known or not followed else []
+    followed += [found] if is_known or not followed else []
     return np.array(followed), is_known
 
 

@@ -85,8 +85,8 @@ def prepare(
 ) -> ChangingRoom:
     """Trace and predict a room as it was found, ready for many changes by `predict_change`.
 
-    Decays are followed as long as with half of what was found, and with the hardest of the
-    alternatives, each some changes that may be asked for.
+    Decays are followed as long as with the hardest of the alternatives, each some changes that may
+    be asked for.
     """
     if question.field is not None:
         return prepare_field(question.field, question.scene, question.absorption, question.settings)
