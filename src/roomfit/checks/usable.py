@@ -177,9 +177,9 @@ def check_recordings(
     decay_s = np.full(len(bands), np.nan)
     if found is not None:
         decay_s = median_decay_s(found.measured, bands.centres_hz)
-    of_bands = decay_s, schroeder_hz(decay_s, volume_m3(scene.room.mesh))
-    each = tuple(given), tuple(map(pairs.get, given))
-    return CheckedRecordings(*each, bands, *of_bands, tuple(findings))
+    pair_of_each = tuple(map(pairs.get, given))
+    schroeder = schroeder_hz(decay_s, volume_m3(scene.room.mesh))
+    return CheckedRecordings(tuple(given), pair_of_each, bands, decay_s, schroeder, tuple(findings))
 
 
 def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> list[Finding]:

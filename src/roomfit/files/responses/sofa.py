@@ -58,7 +58,7 @@ def read_sofa_variables(content: bytes) -> tuple[Variables, str]:
     except ValueError as error:
         old = content[:3] == b"CDF"
         found = "a file of netCDF-3" if old else str(error)
-        hint = "nccopy -k nc4 old.sofa new.sofa" if old else "copy the file anew"
+        hint = "nccopy -k nc4 old.sofa new.sofa" if old else "copy it anew, or raise the limit"
         raise InputError(what, found=found, needed=needed, hint=hint) from error
     if "SOFAConventions" not in attributes and attributes.get("Conventions") != "SOFA":
         found = "an HDF5 file without the attribute SOFAConventions"
